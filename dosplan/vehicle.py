@@ -1,0 +1,164 @@
+"""The ego: CommonRoad's kinematic single track with the parameters of a BMW 320i.
+
+Model, with x and y of the rear axle, steering angle delta, velocity v, heading psi, steering
+rate u1 and acceleration u2 (Althoff, Wuersching, "CommonRoad: Vehicle Models", 2020a, sec. 3)::
+
+    x' = v cos psi    y' = v sin psi    delta' = u1    v' = u2    psi' = v tan(delta) / l_wb
+
+The figures of ``VehicleParameters`` are those of the same document's vehicle 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dosplan.types import (
+    EGO_HEADING,
+    EGO_SIZE,
+    EGO_STEERING,
+    EGO_VELOCITY,
+    EGO_X,
+    EGO_Y,
+    FloatArray,
+)
+
+
+@dataclass(frozen=True)
+class VehicleParameters:
+    """Size and limits of the ego (defaults: BMW 320i, CommonRoad vehicle 2).
+
+    Attributes:
+        length: m.
+        width: m.
+        rear_to_centre: Distance from the rear axle to the centre of the rectangle, m.
+        wheelbase: m.
+        max_steering: Largest |steering angle|, rad.
+        max_steering_rate: Largest |steering rate|, rad/s.
+        max_acceleration: Radius of the friction circle, m/s2.
+        switching_velocity: Velocity above which the engine's power limits acceleration, m/s.
+        max_velocity: m/s.
+    """
+
+    length: float = 4.508
+    width: float = 1.610
+    rear_to_centre: float = 1.4227170936
+    wheelbase: float = 1.1561957064 + 1.4227170936
+    max_steering: float = 1.066
+    max_steering_rate: float = 0.4
+    max_acceleration: float = 11.5
+    switching_velocity: float = 7.319
+    max_velocity: float = 50.8
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Length and width, m."""
+        return self.length, self.width
+
+    def centre(self, states: FloatArray) -> FloatArray:
+        """Centre of the ego's rectangle.
+
+        Args:
+            states: (..., 5) ego states.
+
+        Returns:
+            (..., 2) m.
+        """
+        heading = states[..., EGO_HEADING]
+        offset = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        return np.asarray(states[..., :2] + self.rear_to_centre * offset)
+
+    def poses(self, states: FloatArray) -> FloatArray:
+        """Pose of the ego's rectangle.
+
+        Args:
+            states: (..., 5) ego states.
+
+        Returns:
+            (..., 3) centre x, y, m, and heading, rad.
+        """
+        return np.concatenate([self.centre(states), states[..., EGO_HEADING, None]], axis=-1)
+
+    def state_at(
+        self, centre: FloatArray, heading: float, velocity: float, steering: float = 0.0
+    ) -> FloatArray:
+        """Ego state whose rectangle has the given centre.
+
+        Args:
+            centre: (2,) centre of the rectangle, m.
+            heading: rad.
+            velocity: m/s.
+            steering: rad.
+
+        Returns:
+            (5,) ego state.
+        """
+        x = centre[0] - self.rear_to_centre * np.cos(heading)
+        y = centre[1] - self.rear_to_centre * np.sin(heading)
+        return np.array([x, y, steering, velocity, heading], dtype=np.float64)
+
+    def clip_input(self, state: FloatArray, u: FloatArray, dt: float) -> FloatArray:
+        """The input the actuators can deliver, nearest to the one that is asked for.
+
+        The steering rate is clipped to its own bounds and to those of the steering angle; the
+        acceleration to the friction circle, to the engine's power and so that the velocity
+        stays within 0 and ``max_velocity`` (the ego does not reverse).
+
+        Args:
+            state: (5,) ego state.
+            u: (2,) steering rate, rad/s, and acceleration, m/s2.
+            dt: Time for which the input is held, s.
+
+        Returns:
+            (2,) input.
+        """
+        steering, velocity = state[EGO_STEERING], state[EGO_VELOCITY]
+        rate = np.clip(u[0], -self.max_steering_rate, self.max_steering_rate)
+        rate = np.clip(
+            rate, (-self.max_steering - steering) / dt, (self.max_steering - steering) / dt
+        )
+        lateral = velocity**2 * np.tan(steering) / self.wheelbase
+        grip = np.sqrt(max(self.max_acceleration**2 - lateral**2, 0.0))
+        engine = self.max_acceleration * min(
+            1.0, self.switching_velocity / max(velocity, self.switching_velocity)
+        )
+        acceleration = np.clip(u[1], -grip, min(grip, engine))
+        acceleration = np.clip(acceleration, -velocity / dt, (self.max_velocity - velocity) / dt)
+        return np.array([rate, acceleration], dtype=np.float64)
+
+    def derivative(self, states: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Right-hand side of the kinematic single track.
+
+        Args:
+            states: (..., 5) ego states.
+            inputs: (..., 2) steering rate, rad/s, and acceleration, m/s2.
+
+        Returns:
+            (..., 5) time derivative.
+        """
+        velocity, heading = states[..., EGO_VELOCITY], states[..., EGO_HEADING]
+        out = np.empty((*np.broadcast_shapes(states.shape[:-1], inputs.shape[:-1]), EGO_SIZE))
+        out[..., EGO_X] = velocity * np.cos(heading)
+        out[..., EGO_Y] = velocity * np.sin(heading)
+        out[..., EGO_STEERING] = inputs[..., 0]
+        out[..., EGO_VELOCITY] = inputs[..., 1]
+        out[..., EGO_HEADING] = velocity * np.tan(states[..., EGO_STEERING]) / self.wheelbase
+        return out
+
+    def step(self, states: FloatArray, inputs: FloatArray, dt: float) -> FloatArray:
+        """One step of the classical Runge-Kutta method with the inputs held.
+
+        Args:
+            states: (..., 5) ego states.
+            inputs: (..., 2) steering rate, rad/s, and acceleration, m/s2.
+            dt: Step, s.
+
+        Returns:
+            (..., 5) ego states ``dt`` later.
+        """
+        k1 = self.derivative(states, inputs)
+        k2 = self.derivative(states + 0.5 * dt * k1, inputs)
+        k3 = self.derivative(states + 0.5 * dt * k2, inputs)
+        k4 = self.derivative(states + dt * k3, inputs)
+        return np.asarray(states + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))

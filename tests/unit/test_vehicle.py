@@ -1,0 +1,159 @@
+"""The vehicle model against closed forms, its order of convergence and CommonRoad's own."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dosplan.geometry import rectangle_corners
+from dosplan.types import EGO_HEADING, EGO_STEERING, EGO_VELOCITY, FloatArray
+from dosplan.vehicle import VehicleParameters
+
+VEHICLE = VehicleParameters()
+
+states = st.builds(
+    lambda *values: np.array(values),
+    st.floats(-100.0, 100.0),
+    st.floats(-100.0, 100.0),
+    st.floats(-1.066, 1.066),
+    st.floats(0.0, 50.8),
+    st.floats(-10.0, 10.0),
+)
+inputs = st.builds(lambda *u: np.array(u), st.floats(-3.0, 3.0), st.floats(-30.0, 30.0))
+
+
+def drive(state: FloatArray, u: FloatArray, seconds: float, dt: float) -> FloatArray:
+    for _ in range(round(seconds / dt)):
+        state = VEHICLE.step(state, u, dt)
+    return state
+
+
+def test_straight_line_is_exact() -> None:
+    # x = v t + a t^2 / 2 = 10 * 2 - 3 * 4 / 2 = 14 m along the heading; v = 10 - 3 * 2 = 4 m/s.
+    end = drive(np.array([1.0, 2.0, 0.0, 10.0, 0.5]), np.array([0.0, -3.0]), 2.0, 0.1)
+    wanted = [1.0 + 14.0 * math.cos(0.5), 2.0 + 14.0 * math.sin(0.5), 0.0, 4.0, 0.5]
+    np.testing.assert_allclose(end, wanted, atol=1e-12)
+
+
+def circle(steering: float, velocity: float, seconds: float) -> FloatArray:
+    """Constant steering: a circle of radius l_wb / tan(delta) around a point on the left."""
+    radius = VEHICLE.wheelbase / math.tan(steering)
+    angle = velocity * seconds / radius
+    return np.array(
+        [radius * math.sin(angle), radius * (1 - math.cos(angle)), steering, velocity, angle]
+    )
+
+
+@pytest.mark.parametrize("steering", [0.3, -0.3, 0.05])
+def test_constant_steering_is_a_circle(steering: float) -> None:
+    end = drive(np.array([0.0, 0.0, steering, 8.0, 0.0]), np.zeros(2), 3.0, 0.1)
+    np.testing.assert_allclose(end, circle(steering, 8.0, 3.0), atol=1e-4)
+
+
+def test_runge_kutta_is_of_fourth_order() -> None:
+    steps = np.array([0.2, 0.1, 0.05, 0.025])
+    start = np.array([0.0, 0.0, 0.3, 8.0, 0.0])
+    error = [
+        np.linalg.norm(drive(start, np.zeros(2), 2.0, dt) - circle(0.3, 8.0, 2.0)) for dt in steps
+    ]
+    order = np.polyfit(np.log(steps), np.log(error), 1)[0]
+    assert order == pytest.approx(4.0, abs=0.1)
+
+
+def test_runge_kutta_is_of_fourth_order_while_steering_and_braking() -> None:
+    start, u = np.array([0.0, 0.0, 0.2, 12.0, 0.3]), np.array([-0.3, -2.0])
+    reference = drive(start, u, 2.0, 0.0025)
+    steps = np.array([0.2, 0.1, 0.05])
+    error = [np.linalg.norm(drive(start, u, 2.0, dt) - reference) for dt in steps]
+    order = np.polyfit(np.log(steps), np.log(error), 1)[0]
+    assert order == pytest.approx(4.0, abs=0.25)
+
+
+@pytest.fixture(scope="module")
+def vehicle_2() -> Any:
+    """CommonRoad's own parameters of the vehicle, from its package of vehicle models."""
+    return pytest.importorskip("vehiclemodels.parameters_vehicle2").parameters_vehicle2()
+
+
+@settings(deadline=None)
+@given(state=states, u=inputs)
+def test_derivative_is_commonroads(vehicle_2: Any, state: FloatArray, u: FloatArray) -> None:
+    dynamics = pytest.importorskip("vehiclemodels.vehicle_dynamics_ks")
+    # Inputs that can be delivered, for vehicle_dynamics_ks itself cuts those beyond the limits.
+    u = VEHICLE.clip_input(state, u, 0.1)
+    theirs = dynamics.vehicle_dynamics_ks(list(state), list(u), vehicle_2)
+    np.testing.assert_allclose(VEHICLE.derivative(state, u), theirs, rtol=1e-9, atol=1e-9)
+
+
+def test_parameters_are_those_of_commonroads_vehicle_2(vehicle_2: Any) -> None:
+    theirs = vehicle_2
+    assert VEHICLE.length == pytest.approx(theirs.l)
+    assert VEHICLE.width == pytest.approx(theirs.w)
+    assert VEHICLE.wheelbase == pytest.approx(theirs.a + theirs.b)
+    assert VEHICLE.rear_to_centre == pytest.approx(theirs.b)
+    assert VEHICLE.max_steering == pytest.approx(theirs.steering.max)
+    assert -VEHICLE.max_steering == pytest.approx(theirs.steering.min)
+    assert VEHICLE.max_steering_rate == pytest.approx(theirs.steering.v_max)
+    assert VEHICLE.max_acceleration == pytest.approx(theirs.longitudinal.a_max)
+    assert VEHICLE.switching_velocity == pytest.approx(theirs.longitudinal.v_switch)
+    assert VEHICLE.max_velocity == pytest.approx(theirs.longitudinal.v_max)
+
+
+@settings(deadline=None)
+@given(velocity=st.floats(0.1, 50.0), asked=st.floats(-30.0, 30.0))
+def test_acceleration_limits_are_commonroads(vehicle_2: Any, velocity: float, asked: float) -> None:
+    utils = pytest.importorskip("vehiclemodels.utils.acceleration_constraints")
+    theirs = utils.acceleration_constraints(velocity, asked, vehicle_2.longitudinal)
+    # A tiny step, within which neither standstill nor top speed is reached.
+    ours = VEHICLE.clip_input(np.array([0, 0, 0, velocity, 0.0]), np.array([0.0, asked]), 1e-9)
+    assert ours[1] == pytest.approx(theirs)
+
+
+@given(state=states, u=inputs)
+def test_what_actuators_deliver_stays_within_every_limit(state: FloatArray, u: FloatArray) -> None:
+    clipped = VEHICLE.clip_input(state, u, 0.1)
+    after = VEHICLE.step(state, clipped, 0.1)
+    assert abs(clipped[0]) <= VEHICLE.max_steering_rate + 1e-9
+    assert abs(after[EGO_STEERING]) <= VEHICLE.max_steering + 1e-9
+    assert -1e-9 <= after[EGO_VELOCITY] <= VEHICLE.max_velocity + 1e-9
+    lateral = state[EGO_VELOCITY] ** 2 * math.tan(state[EGO_STEERING]) / VEHICLE.wheelbase
+    if abs(lateral) <= VEHICLE.max_acceleration:
+        assert math.hypot(lateral, clipped[1]) <= VEHICLE.max_acceleration + 1e-9
+    np.testing.assert_allclose(VEHICLE.clip_input(state, clipped, 0.1), clipped, atol=1e-9)
+
+
+def test_braking_stops_and_does_not_reverse() -> None:
+    state = np.array([0.0, 0.0, 0.0, 0.5, 0.0])
+    u = VEHICLE.clip_input(state, np.array([0.0, -11.0]), 0.1)
+    assert u[1] == pytest.approx(-5.0)  # 0.5 m/s are gone after 0.1 s.
+    assert VEHICLE.step(state, u, 0.1)[EGO_VELOCITY] == pytest.approx(0.0, abs=1e-12)
+
+
+@given(state=states)
+def test_centre_and_state_are_each_others_inverse(state: FloatArray) -> None:
+    back = VEHICLE.state_at(
+        VEHICLE.centre(state), state[EGO_HEADING], state[EGO_VELOCITY], state[EGO_STEERING]
+    )
+    np.testing.assert_allclose(back, state, atol=1e-9)
+
+
+def test_rectangle_reaches_from_rear_overhang_to_front_bumper() -> None:
+    # Rear axle in the origin, heading +y: the centre is 1.4227 m up, the car 4.508 m long.
+    corners = rectangle_corners(
+        VEHICLE.poses(np.array([0.0, 0.0, 0.0, 0.0, math.pi / 2.0])), VEHICLE.size
+    )
+    assert corners[:, 1].max() == pytest.approx(1.4227170936 + 2.254)
+    assert corners[:, 1].min() == pytest.approx(1.4227170936 - 2.254)
+    assert np.ptp(corners[:, 0]) == pytest.approx(1.61)
+
+
+def test_many_states_at_once_are_one_by_one() -> None:
+    rng = np.random.default_rng(3)
+    many, u = rng.uniform(-1.0, 1.0, (6, 5)), rng.uniform(-1.0, 1.0, (6, 2))
+    one = np.stack([VEHICLE.step(x, w, 0.1) for x, w in zip(many, u, strict=True)])
+    np.testing.assert_array_equal(VEHICLE.step(many, u, 0.1), one)

@@ -1,0 +1,154 @@
+"""The free road beside a path: drivable, and not only for those who come the other way."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Final, Self
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from dosplan.scenario.road_map import areas, lanelet_cells
+from dosplan.types import BoolArray, FloatArray, Lanelet, RoadMap
+
+AGAINST: Final = np.cos(np.deg2rad(100.0))
+"""Cosine of the angle to the path from which on a lane runs against it."""
+OFF_ROAD: Final = 1.75
+"""Width to each side that is given where the path itself is off the road, m."""
+
+
+@dataclass(frozen=True)
+class Corridor:
+    """The free area around a path.
+
+    Attributes:
+        free: Drivable area near the path, less what lies on lanelets against it only, m.
+        edges: (S, 2, 2) the segments of the area's boundary, m.
+        tree: Index of ``edges``.
+    """
+
+    WIDTH: ClassVar[float] = 12.0
+    """Largest lateral bound, m."""
+
+    free: shapely.Polygon | shapely.MultiPolygon
+    edges: FloatArray
+    tree: shapely.STRtree
+
+    @classmethod
+    def along(
+        cls, path: FloatArray, road_map: RoadMap, near: list[int], always: frozenset[int]
+    ) -> Self:
+        """The corridor of a path.
+
+        Args:
+            path: (P, 2) path, m, driven from first to last.
+            road_map: The map.
+            near: Lanelets within reach of the path.
+            always: Lanelets that may be driven whatever their direction: those of the route and
+                those that are open both ways.
+
+        Returns:
+            The corridor.
+        """
+        low, high = path.min(axis=0) - 1.5 * cls.WIDTH, path.max(axis=0) + 1.5 * cls.WIDTH
+        free = areas(shapely.clip_by_rect(road_map.drivable, *low, *high))
+        with_path, against_path = _cells(road_map, path, near, always)
+        if len(against_path):
+            against = shapely.union_all(against_path)
+            beside = with_path[shapely.intersects(with_path, against)]
+            free = areas(free.difference(against.difference(shapely.union_all(beside))))
+        rings = shapely.get_rings(shapely.get_parts(free))
+        points, ring = shapely.get_coordinates(rings, return_index=True)
+        same = ring[1:] == ring[:-1]
+        edges = np.stack([points[:-1][same], points[1:][same]], axis=1)
+        return cls(free, edges, shapely.STRtree(shapely.linestrings(edges)))
+
+    def clearance(self, points: FloatArray) -> FloatArray:
+        """Distance of points to the corridor's edge.
+
+        Args:
+            points: (P, 2) m.
+
+        Returns:
+            (P,) m; negative outside.
+        """
+        distance = np.full(len(points), np.inf)
+        (asked, _), found = self.tree.query_nearest(
+            shapely.points(points), return_distance=True, all_matches=False
+        )
+        distance[asked] = found
+        return np.where(self._inside(points), distance, -distance)
+
+    def bounds(self, path: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Lateral offsets at which a walk sideways from the path first leaves the corridor.
+
+        Exact: each normal is intersected with the segments of the corridor's boundary.
+
+        Args:
+            path: (P, 2) m.
+            heading: (P,) rad.
+
+        Returns:
+            (P,) to the left, >= 0, and (P,) to the right, <= 0, m, at most ``WIDTH`` away;
+            ``OFF_ROAD`` where the path is not in the corridor.
+        """
+        normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
+        inside = self._inside(path)
+        left, right = (
+            np.where(inside, self._first_hit(path, side * self.WIDTH * normal), OFF_ROAD)
+            for side in (1.0, -1.0)
+        )
+        return left, -right
+
+    def _inside(self, points: FloatArray) -> BoolArray:
+        shapely.prepare(self.free)
+        return np.asarray(shapely.contains_xy(self.free, points))
+
+    def _first_hit(self, origins: FloatArray, rays: FloatArray) -> FloatArray:
+        """Distance, m, along each ray to the first edge, ``WIDTH`` where it meets none."""
+        lines = shapely.linestrings(np.stack([origins, origins + rays], axis=1))
+        ray, edge = self.tree.query(lines)
+        start = self.edges[edge, 0] - origins[ray]
+        along = self.edges[edge, 1] - self.edges[edge, 0]
+        across = _cross(rays[ray], along)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            on_ray = _cross(start, along) / across
+            on_edge = _cross(start, rays[ray]) / across
+        slack = 1e-9
+        hit = (on_edge >= -slack) & (on_edge <= 1.0 + slack) & (on_ray >= 0.0) & (on_ray <= 1.0)
+        share = np.ones(len(origins))
+        np.minimum.at(share, ray[hit], on_ray[hit])
+        return share * self.WIDTH
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def _cells(
+    road_map: RoadMap, path: FloatArray, near: list[int], always: frozenset[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Cells of the lanelets near the path, as polygons: those along it and those against it.
+
+    A cell is judged by the path's direction at the point nearest to it, so that a lane that
+    bends is against the path only where it runs so.
+    """
+    chosen = [lanelet for lanelet in road_map.lanelets if lanelet.id in set(near)]
+    if not chosen:
+        return np.empty(0), np.empty(0)
+    corners = np.concatenate([lanelet_cells(lanelet) for lanelet in chosen])
+    direction = np.concatenate([np.diff(lanelet.centre, axis=0) for lanelet in chosen])
+    exempt = np.concatenate([_repeat(lanelet, always) for lanelet in chosen])
+    nearest = cKDTree(path[:-1]).query(corners.mean(axis=1))[1]
+    step = np.diff(path, axis=0)[nearest]
+    product = np.sum(step * direction, axis=1)
+    scale = np.hypot(*step.T) * np.hypot(*direction.T)
+    against = (product < AGAINST * scale) & ~exempt
+    cells = shapely.polygons(corners)
+    cells = np.where(shapely.is_valid(cells), cells, shapely.convex_hull(cells))
+    return cells[~against], cells[against]
+
+
+def _repeat(lanelet: Lanelet, always: frozenset[int]) -> BoolArray:
+    return np.full(len(lanelet.left) - 1, lanelet.id in always)

@@ -1,0 +1,225 @@
+"""Scenario files as text: reading them safely and making them fit for commonroad-io.
+
+A file comes from anywhere, so nothing of it is trusted: document types and entities are refused,
+and so are files that are not what they claim to be. What commonroad-io cannot express is put
+right in the tree before it sees the file.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import zlib
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NoReturn
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+VERSIONS: Final = ("2018b", "2020a")
+SUFFIXES: Final = (".xml", ".xml.gz")
+MAX_BYTES: Final = 512 * 1024 * 1024
+
+_NOT_FINITE: Final = re.compile(rb">\s*[+-]?(?:nan|inf|infinity)\s*<", re.IGNORECASE)
+_DOCTYPE: Final = "it has a document type (DOCTYPE), which is refused; remove the declaration"
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be used: one line naming the file, what is wrong and what to do."""
+
+    def __init__(self, path: Path, problem: str) -> None:
+        super().__init__(" ".join(f"{path}: {problem}".split()))
+
+
+@dataclass(frozen=True)
+class Document:
+    """A scenario file that passed the checks on its text.
+
+    Attributes:
+        path: The file.
+        root: The parsed tree.
+        data: The XML that commonroad-io is handed.
+        derived: Per obstacle id, the fields (``orientation``, ``velocity``) its initial state
+            leaves out; ``data`` holds zeros in their place.
+        two_way: Ids of the lanelets that may be driven in both directions.
+    """
+
+    path: Path
+    root: ElementTree.Element
+    data: bytes
+    derived: dict[int, frozenset[str]]
+    two_way: frozenset[int]
+
+
+class _Builder(ElementTree.TreeBuilder):
+    """Refuses a document type, and with it every entity, before anything of it is expanded."""
+
+    def doctype(self, *_: object) -> NoReturn:
+        raise ValueError(_DOCTYPE)
+
+
+def read_bytes(path: Path) -> bytes:
+    """The XML of a ``.xml`` or ``.xml.gz`` file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Its (decompressed) content.
+
+    Raises:
+        ScenarioError: It cannot be read, decompressed, or is larger than ``MAX_BYTES``.
+    """
+    try:
+        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ScenarioError(path, f"cannot be read ({reason}); fetch the file again") from None
+    if len(data) > MAX_BYTES:
+        raise ScenarioError(path, f"holds more than {MAX_BYTES} bytes; split it")
+    return data
+
+
+def scan(path: Path) -> tuple[str, str, list[int]]:
+    """Root tag, benchmark id and planning-problem ids, without building a tree.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The three; the benchmark id is empty where the file names none.
+
+    Raises:
+        ScenarioError: The file cannot be read or is not XML.
+    """
+    header: list[tuple[str, str]] = []
+    problems: list[int] = []
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if not header:
+            header.append((tag, attributes.get("benchmarkID", "")))
+        elif tag == "planningProblem":
+            problems.append(int(attributes["id"]))
+
+    def doctype(*_: object) -> NoReturn:
+        raise ValueError(_DOCTYPE)
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    parser.StartDoctypeDeclHandler = doctype
+    _parse(path, lambda: parser.Parse(read_bytes(path), True))
+    return (*header[0], problems)
+
+
+def read_document(path: Path) -> Document:
+    """Reads, checks and completes a scenario file.
+
+    Completed, because commonroad-io reads it wrongly or not at all: exact values in goal states
+    become intervals of no length; an initial state that leaves out a field gets a zero for it,
+    since the reader stops at the first field it misses and drops the rest.
+
+    Args:
+        path: A ``.xml`` or ``.xml.gz`` file.
+
+    Returns:
+        The document.
+
+    Raises:
+        ScenarioError: The file is not a CommonRoad scenario that can be used.
+    """
+    data = read_bytes(path)
+    # Safe on foreign text: _Builder refuses the declarations that the known attacks need.
+    parser = ElementTree.XMLParser(target=_Builder())  # noqa: S314
+    root = _parse(path, lambda: ElementTree.fromstring(data, parser=parser))  # noqa: S314
+    problem = _objection(root, data)
+    if problem is not None:
+        raise ScenarioError(path, problem)
+    changed, derived = _complete(path, root)
+    return Document(
+        path=path,
+        root=root,
+        data=ElementTree.tostring(root) if changed else data,
+        derived=derived,
+        two_way=frozenset(
+            int(lanelet.get("id", ""))
+            for lanelet in root.findall("lanelet")
+            if lanelet.find("userBidirectional") is not None
+        ),
+    )
+
+
+def _parse(path: Path, parse: Callable[[], Any]) -> Any:
+    try:
+        return parse()
+    except ScenarioError:
+        raise
+    except (ElementTree.ParseError, expat.ExpatError) as error:
+        raise ScenarioError(path, f"is not complete XML ({error}); fetch it again") from None
+    except (ValueError, KeyError, LookupError) as error:
+        raise ScenarioError(path, f"cannot be used: {error}") from None
+
+
+def _objection(root: ElementTree.Element, data: bytes) -> str | None:
+    """What speaks against using the file, or None."""
+    version = root.get("commonRoadVersion")
+    lanelets = Counter(lanelet.get("id") for lanelet in root.findall("lanelet"))
+    repeated = [str(name) for name, times in lanelets.items() if times > 1]
+    not_finite = _NOT_FINITE.search(data)
+    checks = (
+        (root.tag != "commonRoad", f"is a <{root.tag}>, not a CommonRoad scenario"),
+        (
+            version not in VERSIONS,
+            f"has CommonRoad version {version}; convert it to {' or '.join(VERSIONS)}",
+        ),
+        (not root.get("benchmarkID"), "has no benchmarkID; add one to its root element"),
+        (not lanelets, "has no lanelets; a scenario needs a map"),
+        (bool(repeated), f"names lanelet {', '.join(repeated)} twice; give it another id"),
+        (root.find("planningProblem") is None, "has no planning problem; add one"),
+        (
+            root.find(".//occupancySet") is not None or root.find("phantomObstacle") is not None,
+            "has set-based predictions; only recorded trajectories can be replayed",
+        ),
+        (
+            not_finite is not None,
+            f"holds a value that is not a finite number "
+            f"(byte {not_finite.start() if not_finite else 0}); correct it",
+        ),
+    )
+    return next((message for applies, message in checks if applies), None)
+
+
+def _complete(path: Path, root: ElementTree.Element) -> tuple[bool, dict[int, frozenset[str]]]:
+    changed = False
+    for goal in root.iterfind("planningProblem/goalState"):
+        for field in goal:
+            exact = field.find("exact")
+            if field.tag != "position" and exact is not None:
+                for tag in ("intervalStart", "intervalEnd"):
+                    ElementTree.SubElement(field, tag).text = exact.text
+                field.remove(exact)
+                changed = True
+    for state in root.iterfind("planningProblem/initialState"):
+        absent = [tag for tag in ("position", "orientation", "velocity") if state.find(tag) is None]
+        if absent:
+            raise ScenarioError(path, f"gives the ego no initial {absent[0]}; add it")
+        changed |= bool(_fill(state, ("acceleration",)))
+    derived = {}
+    for tag in ("obstacle", "staticObstacle", "dynamicObstacle"):
+        for obstacle in root.iterfind(tag):
+            states = obstacle.findall("initialState")
+            absent = [name for s in states for name in _fill(s, ("orientation", "velocity"))]
+            if absent:
+                derived[int(obstacle.get("id", ""))] = frozenset(absent)
+    return changed or bool(derived), derived
+
+
+def _fill(state: ElementTree.Element, tags: tuple[str, ...]) -> list[str]:
+    """Adds a zero for each field that is absent and returns their names."""
+    absent = [tag for tag in tags if state.find(tag) is None]
+    for tag in absent:
+        field = ElementTree.SubElement(state, tag)
+        ElementTree.SubElement(field, "exact").text = "0.0"
+    return absent

@@ -1,0 +1,1 @@
+"""Planners without optimisation: the yardsticks that every other planner must beat."""

@@ -1,0 +1,245 @@
+"""Trajectories without training. Their sets are points: semi-axes of zero.
+
+Road users of the kinds parked and static stay where they are, whatever velocity they claim.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+
+from dosplan.api import OraclePredictor, PluginError, Predictor
+from dosplan.geometry import wrap_angle
+from dosplan.types import (
+    USER_HEADING,
+    USER_VELOCITY,
+    BoolArray,
+    FloatArray,
+    Observation,
+    Occupancy,
+    RoadUserKind,
+    Tracks,
+)
+
+UNMOVED_KINDS = frozenset({RoadUserKind.PARKED, RoadUserKind.STATIC})
+WALKING_KINDS = frozenset({RoadUserKind.PEDESTRIAN})
+
+TURN_WINDOW = 6  # Steps whose headings give the turn rate: 0.5 s.
+TURN_SAMPLES = 3  # Fewer valid headings than this say nothing about noise.
+TURN_RADIUS = 5.0  # m; no road vehicle turns tighter, and a slow one must not spin.
+TURN_ACCELERATION = 4.0  # m/s2; lateral acceleration that everyday traffic does not exceed.
+
+
+def of_kind(observation: Observation, kinds: frozenset[RoadUserKind]) -> BoolArray:
+    """Which road users are of some kinds.
+
+    Args:
+        observation: What is known now.
+        kinds: The kinds that are looked for.
+
+    Returns:
+        (N,) mask.
+    """
+    return np.array([kind in kinds for kind in observation.kinds], dtype=np.bool_)
+
+
+def points(
+    observation: Observation, centre: FloatArray, heading: FloatArray, valid: BoolArray
+) -> Occupancy:
+    """An occupancy whose sets are the predicted centres themselves.
+
+    Args:
+        observation: What the prediction was made from.
+        centre: (N, T, 2) predicted centres, m.
+        heading: (N, T) predicted headings, rad.
+        valid: (N, T) where there is a prediction.
+
+    Returns:
+        The occupancy.
+    """
+    return Occupancy(
+        ids=observation.ids,
+        centre=centre,
+        semi_axes=np.zeros_like(centre),
+        angle=np.zeros_like(heading),
+        valid=valid,
+        footprint=observation.size,
+        heading=heading,
+    )
+
+
+class NonePredictor(Predictor):
+    """Predicts nobody: what a planner does on an empty road."""
+
+    name = "none-v1"
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        """Marks every road user as not predicted.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            An occupancy that is valid nowhere.
+        """
+        shape = (len(observation.ids), self.horizon)
+        return points(
+            observation,
+            np.full((*shape, 2), np.nan),
+            np.full(shape, np.nan),
+            np.zeros(shape, dtype=np.bool_),
+        )
+
+
+class KinematicPredictor(Predictor):
+    """Constant velocity on a circular arc; what differs is the turn rate."""
+
+    @abstractmethod
+    def turn_rate(self, observation: Observation) -> FloatArray:
+        """How fast each road user turns.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            (N,) rad/s.
+        """
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        """Follows each road user's arc.
+
+        An arc of length v t through an angle w t has the chord v t sin(w t / 2) / (w t / 2)
+        in the direction of its middle, heading + w t / 2; no case for w = 0 is needed.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            Points, valid everywhere.
+        """
+        now = observation.states[:, -1]
+        time = observation.dt * np.arange(1, self.horizon + 1)
+        moves = ~of_kind(observation, UNMOVED_KINDS)
+        velocity = np.where(moves, now[:, USER_VELOCITY], 0.0)
+        turned = np.where(moves, self.turn_rate(observation), 0.0)[:, None] * time
+        chord = velocity[:, None] * time * np.sinc(turned / (2.0 * np.pi))
+        middle = now[:, USER_HEADING, None] + 0.5 * turned
+        way = chord[..., None] * np.stack([np.cos(middle), np.sin(middle)], axis=-1)
+        return points(
+            observation,
+            now[:, None, :2] + way,
+            now[:, USER_HEADING, None] + turned,
+            np.ones(turned.shape, dtype=np.bool_),
+        )
+
+
+class ConstantVelocityPredictor(KinematicPredictor):
+    """Everybody keeps the present heading and velocity."""
+
+    name = "constant-velocity-v1"
+
+    def turn_rate(self, observation: Observation) -> FloatArray:
+        """Nobody turns.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            (N,) zeros.
+        """
+        return np.zeros(len(observation.ids))
+
+
+class ConstantTurnRatePredictor(KinematicPredictor):
+    """Everybody keeps the present velocity and the turn rate of the last half second.
+
+    The rate is the slope of a straight line fitted to the headings by least squares. It is cut
+    to what a road vehicle does: a turning radius of at least 5 m and a lateral acceleration of
+    at most 4 m/s2, so that noise spins neither a slow vehicle nor a fast one. Pedestrians, who
+    look about, are taken to walk straight on.
+    """
+
+    name = "constant-turn-rate-v1"
+
+    def turn_rate(self, observation: Observation) -> FloatArray:
+        """Least-squares slope of the recent headings.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            (N,) rad/s.
+        """
+        recent = observation.states[:, -TURN_WINDOW:]
+        weight = observation.valid[:, -TURN_WINDOW:].astype(np.float64)
+        time = observation.dt * np.arange(1 - recent.shape[1], 1)
+        # Relative to the present heading: no jump of 2 pi can enter the fit.
+        turned = wrap_angle(recent[..., USER_HEADING] - recent[:, -1:, USER_HEADING])
+        turned = np.where(weight > 0, turned, 0.0)
+        samples = weight.sum(axis=1)
+        offset = time - (weight @ time / samples)[:, None]
+        spread = (weight * offset**2).sum(axis=1)
+        known = (samples >= TURN_SAMPLES) & ~of_kind(observation, WALKING_KINDS)
+        slope = np.divide(
+            (weight * offset * turned).sum(axis=1),
+            spread,
+            out=np.zeros_like(spread),
+            where=known,
+        )
+        speed = np.abs(observation.states[:, -1, USER_VELOCITY])
+        tightest = speed / TURN_RADIUS
+        gripping = TURN_ACCELERATION / np.maximum(speed, 1.0)
+        limit = np.minimum(tightest, gripping)
+        return np.asarray(np.clip(slope, -limit, limit))
+
+
+class GroundTruthPredictor(OraclePredictor):
+    """Knows the recording: an upper bound for every predictor.
+
+    A road user has no prediction where its recording has ended.
+    """
+
+    name = "ground-truth-v1"
+
+    def __init__(self, *, seed: int = 0, horizon: int = 40) -> None:
+        """Begins without a recording.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            horizon: Number T of steps to predict.
+        """
+        super().__init__(seed=seed, horizon=horizon)
+        self._tracks: Tracks | None = None
+
+    def reveal(self, tracks: Tracks) -> None:
+        """Keeps the recording.
+
+        Args:
+            tracks: Every road user at every step, future included.
+        """
+        self._tracks = tracks
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        """Looks the future up.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            The recorded centres and headings; NaN and not valid where there are none.
+
+        Raises:
+            PluginError: The recording was not revealed.
+        """
+        tracks = self._tracks
+        if tracks is None:
+            raise PluginError(f"predictor {self.name}: call reveal(tracks) before predict")
+        order = np.argsort(tracks.ids)
+        rows = order[np.searchsorted(tracks.ids, observation.ids, sorter=order)]
+        columns = observation.step + 1 + np.arange(self.horizon)
+        recorded = columns < tracks.steps
+        index = np.ix_(rows, np.minimum(columns, tracks.steps - 1))
+        valid = tracks.valid[index] & recorded
+        future = np.where(valid[..., None], tracks.states[index], np.nan)
+        return points(observation, future[..., :2], future[..., USER_HEADING], valid)

@@ -1,0 +1,277 @@
+"""Specified sets: circles whose radius is a rule, around any trajectory predictor.
+
+The baselines of "Towards Safe and Reliable Autonomous Driving: Dynamic Occupancy Set
+Prediction" (Shao, Xu, Yu, Li, Wang): a fixed radius r; v1, r = z t; v2, r = z r_e(t) with r_e
+the mean displacement error of the trajectory at that step. The trajectory comes from another
+predictor, given by instance::
+
+    GrowingCirclePredictor(z=0.7, base=ConstantTurnRatePredictor())
+
+Kinds that do not move (parked, static) keep sets of radius zero.
+"""
+
+from __future__ import annotations
+
+import json
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from dosplan.api import Predictor
+from dosplan.types import FloatArray, Observation, Occupancy, PlanningTask, RoadMap
+from dosplan_simple.predictors import UNMOVED_KINDS, ConstantVelocityPredictor, of_kind
+
+
+@dataclass(frozen=True)
+class ErrorTable:
+    """Mean displacement error of a predictor by step.
+
+    Attributes:
+        predictor: Name of the predictor that was measured.
+        dt: Step, s.
+        mean_error: (T,) mean distance between predicted and true centre, m, at steps 1 .. T.
+        samples: T numbers of predictions behind each mean.
+        command: How the table was made.
+    """
+
+    predictor: str
+    dt: float
+    mean_error: tuple[float, ...]
+    samples: tuple[int, ...]
+    command: str
+
+    @classmethod
+    def load(cls, path: Path | None = None) -> Self:
+        """Reads a table that ``python -m dosplan_simple.measure`` wrote.
+
+        Args:
+            path: The file; by default the table of constant velocity that ships with the
+                package.
+
+        Returns:
+            The table.
+
+        Raises:
+            ValueError: The file is not such a table.
+        """
+        source = path or resources.files("dosplan_simple") / "constant_velocity_error.json"
+        try:
+            content: dict[str, Any] = json.loads(source.read_text(encoding="utf-8"))
+            return cls(
+                predictor=str(content["predictor"]),
+                dt=float(content["dt"]),
+                mean_error=tuple(float(x) for x in content["mean_error"]),
+                samples=tuple(int(x) for x in content["samples"]),
+                command=str(content["command"]),
+            )
+        except (json.JSONDecodeError, KeyError, TypeError) as error:
+            raise ValueError(
+                f"{source}: not a table of prediction errors ({type(error).__name__}: {error}); "
+                "make one with python -m dosplan_simple.measure"
+            ) from None
+
+    def dump(self, path: Path) -> None:
+        """Writes the table.
+
+        Args:
+            path: The file.
+        """
+        content = {
+            "predictor": self.predictor,
+            "dt": self.dt,
+            "command": self.command,
+            "samples": self.samples,
+            "mean_error": [round(x, 4) for x in self.mean_error],
+        }
+        path.write_text(json.dumps(content) + "\n", encoding="utf-8")
+
+
+class CirclePredictor(Predictor):
+    """Circles around the centres that another predictor foresees."""
+
+    def __init__(self, *, seed: int = 0, horizon: int = 40, base: Predictor | None = None) -> None:
+        """Keeps the trajectory predictor.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            horizon: Number T of steps to predict.
+            base: Where the centres come from; constant velocity by default.
+
+        Raises:
+            ValueError: ``base`` predicts another number of steps.
+        """
+        super().__init__(seed=seed, horizon=horizon)
+        self.base = base or ConstantVelocityPredictor(seed=seed, horizon=horizon)
+        if self.base.horizon != horizon:
+            raise ValueError(
+                f"{self.name}: base predicts {self.base.horizon} steps, horizon is {horizon}; "
+                "make them equal"
+            )
+
+    @abstractmethod
+    def radius(self, dt: float) -> FloatArray:
+        """The rule.
+
+        Args:
+            dt: Step, s.
+
+        Returns:
+            (T,) radius at each predicted step, m.
+        """
+
+    def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
+        """Begins an episode of the trajectory predictor.
+
+        Args:
+            task: Start, goal and route of the ego.
+            road_map: The map.
+        """
+        self.base.reset(task, road_map)
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        """Draws the circles.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            The base's centres with circles of the rule's radius.
+        """
+        trajectory = self.base.predict(observation)
+        moves = ~of_kind(observation, UNMOVED_KINDS)
+        radius = moves[:, None] * self.radius(observation.dt)
+        return replace(
+            trajectory,
+            semi_axes=np.repeat(radius[..., None], 2, axis=-1),
+            angle=np.zeros_like(radius),
+        )
+
+
+class FixedCirclePredictor(CirclePredictor):
+    """The same radius at every step."""
+
+    name = "fixed-circle-v1"
+
+    def __init__(
+        self,
+        *,
+        seed: int = 0,
+        horizon: int = 40,
+        base: Predictor | None = None,
+        r: float = 1.0,
+    ) -> None:
+        """Keeps the radius.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            horizon: Number T of steps to predict.
+            base: Where the centres come from; constant velocity by default.
+            r: Radius, m.
+        """
+        super().__init__(seed=seed, horizon=horizon, base=base)
+        self.r = r
+
+    def radius(self, dt: float) -> FloatArray:
+        """Constant.
+
+        Args:
+            dt: Step, s.
+
+        Returns:
+            (T,) m.
+        """
+        return np.full(self.horizon, self.r)
+
+
+class GrowingCirclePredictor(CirclePredictor):
+    """A radius that grows with time: r = z t."""
+
+    name = "growing-circle-v1"
+
+    def __init__(
+        self,
+        *,
+        seed: int = 0,
+        horizon: int = 40,
+        base: Predictor | None = None,
+        z: float = 1.0,
+    ) -> None:
+        """Keeps the growth.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            horizon: Number T of steps to predict.
+            base: Where the centres come from; constant velocity by default.
+            z: Growth, m/s.
+        """
+        super().__init__(seed=seed, horizon=horizon, base=base)
+        self.z = z
+
+    def radius(self, dt: float) -> FloatArray:
+        """Linear in time.
+
+        Args:
+            dt: Step, s.
+
+        Returns:
+            (T,) m.
+        """
+        return np.asarray(self.z * dt * np.arange(1, self.horizon + 1), dtype=np.float64)
+
+
+class ErrorCirclePredictor(CirclePredictor):
+    """A radius in proportion to the trajectory's measured error: r = z r_e(t)."""
+
+    name = "error-circle-v1"
+
+    def __init__(
+        self,
+        *,
+        seed: int = 0,
+        horizon: int = 40,
+        base: Predictor | None = None,
+        z: float = 1.0,
+        table: ErrorTable | None = None,
+    ) -> None:
+        """Keeps the table.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            horizon: Number T of steps to predict.
+            base: Where the centres come from; constant velocity by default.
+            z: Factor on the mean error.
+            table: The mean error of ``base``; by default that of constant velocity.
+
+        Raises:
+            ValueError: The table is another predictor's or too short.
+        """
+        super().__init__(seed=seed, horizon=horizon, base=base)
+        self.z = z
+        self.table = table or ErrorTable.load()
+        if self.table.predictor != self.base.name:
+            raise ValueError(
+                f"{self.name}: the error table is that of {self.table.predictor}, the base is "
+                f"{self.base.name}; measure it with python -m dosplan_simple.measure"
+            )
+        if len(self.table.mean_error) < horizon:
+            raise ValueError(
+                f"{self.name}: the error table ends at step {len(self.table.mean_error)}, "
+                f"horizon is {horizon}; measure further or predict less"
+            )
+
+    def radius(self, dt: float) -> FloatArray:
+        """In proportion to the mean error; between the table's steps, interpolated.
+
+        Args:
+            dt: Step, s.
+
+        Returns:
+            (T,) m.
+        """
+        known = self.table.dt * np.arange(len(self.table.mean_error) + 1)
+        asked = dt * np.arange(1, self.horizon + 1)
+        return np.asarray(self.z * np.interp(asked, known, (0.0, *self.table.mean_error)))

@@ -1,0 +1,326 @@
+"""The conformance checks: every built-in passes, every bad plug-in fails at its own rule."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+import numpy as np
+import pytest
+from dosplan_baseline.cruise import CruisePlanner
+from dosplan_simple.predictors import ConstantVelocityPredictor
+
+from dosplan import conformance
+from dosplan.api import Planner, Predictor
+from dosplan.conformance import Report, check_planner, check_predictor
+from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
+from dosplan.vehicle import VehicleParameters
+
+
+def installed(kind: str) -> list[Any]:
+    offers = entry_points(group=f"dosplan.{kind}")
+    return [pytest.param(offer, id=offer.name) for offer in sorted(offers)]
+
+
+@pytest.mark.parametrize("offer", installed("planners"))
+def test_every_installed_planner_conforms(offer: EntryPoint) -> None:
+    assert check_planner(offer.load()).failures == ()
+
+
+@pytest.mark.parametrize("offer", installed("predictors"))
+def test_every_installed_predictor_conforms(offer: EntryPoint) -> None:
+    assert check_predictor(offer.load()).failures == ()
+
+
+def plan_of(observation: Observation, inputs: np.ndarray) -> Plan:
+    states = [observation.ego]
+    for u in inputs:
+        states.append(VehicleParameters().step(states[-1], u, observation.dt))
+    return Plan(states=np.stack(states), inputs=inputs)
+
+
+class GoodPlanner(Planner):
+    """Rolls on; the bad ones below each break one rule."""
+
+    name = "good-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return plan_of(observation, np.zeros((10, 2)))
+
+
+class NeedsArgument(GoodPlanner):
+    def __init__(self, weights: str, *, seed: int = 0) -> None:
+        super().__init__(seed=seed)
+
+
+class NotAPlanner:
+    name = "stranger-v1"
+
+    def __init__(self, *, seed: int) -> None:
+        self.seed = seed
+
+
+class Unversioned(GoodPlanner):
+    name = "good"
+
+
+class ReturnsNothing(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Any:
+        return None
+
+
+class StartsElsewhere(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return Plan(states=np.tile(observation.ego + 0.1, (3, 1)), inputs=np.zeros((2, 2)))
+
+
+class PlansNan(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return plan_of(observation, np.full((10, 2), np.nan))
+
+
+class Dice(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return plan_of(observation, np.random.default_rng().normal(0.0, 0.1, (10, 2)))
+
+
+class Rememberer(GoodPlanner):
+    calls = 0
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        self.calls += 1
+        return plan_of(observation, np.full((10, 2), [0.0, -0.01 * self.calls]))
+
+
+class Writer(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        observation.states[:, -1, 0] += 1.0
+        return super().compute_plan(observation, occupancy)
+
+
+class Burglar(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        assert observation.states.base is not None
+        observation.states.base[..., 0] += 1.0
+        return super().compute_plan(observation, occupancy)
+
+
+class NeedsCompany(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        observation.states[:, -1, 0].min()
+        return super().compute_plan(observation, occupancy)
+
+
+class HatesCrowds(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        if len(observation.ids) > 20:
+            raise MemoryError("at most 20 road users")
+        return super().compute_plan(observation, occupancy)
+
+
+class NeedsPast(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        inputs = np.zeros((10, 2))
+        past = observation.states[:, 0, 3]
+        inputs[:, 1] = past.mean() * 0.01 if len(past) else 0.0
+        return plan_of(observation, inputs)
+
+
+class FearsGhosts(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        braking = -0.1 * float(np.sum(occupancy.semi_axes > 0.0) > 0)
+        return plan_of(observation, np.full((10, 2), [0.0, braking]))
+
+
+class Teleporter(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return Plan(states=np.tile(observation.ego, (11, 1)), inputs=np.zeros((10, 2)))
+
+
+class Rocket(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return plan_of(observation, np.full((10, 2), [0.0, 30.0]))
+
+
+class Sleeper(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        time.sleep(0.05)
+        return super().compute_plan(observation, occupancy)
+
+
+def failures(report: Report) -> dict[str, str]:
+    assert not report.ok
+    return {check.name: check.message for check in report.failures}
+
+
+# What is random cannot pass the other checks that compare two runs either.
+ALSO = {"deterministic": {"reset_forgets", "arms_agree_without_predictions"}}
+
+BAD_PLANNERS = [
+    (NeedsArgument, "constructs", "missing 1 required positional argument: 'weights'"),
+    (NotAPlanner, "constructs", "is no dosplan.api.Planner; inherit from it"),
+    (Unversioned, "versioned_name", "name is 'good'; results are kept by name"),
+    (ReturnsNothing, "plans", "compute_plan returned NoneType, not a Plan"),
+    (StartsElsewhere, "plans", "the plan starts 0.1 away"),
+    (PlansNan, "plans", "Plan.inputs holds a NaN"),
+    (Dice, "deterministic", "two instances with the same seed differ in Plan.inputs"),
+    (Rememberer, "reset_forgets", "prepare() must clear"),
+    (Writer, "plans", "copy the array before you write to it"),
+    (Burglar, "input_untouched", "changed Observation.states"),
+    (NeedsCompany, "no_road_users", "ValueError: zero-size array"),
+    (HatesCrowds, "many_road_users", "MemoryError: at most 20 road users"),
+    (NeedsPast, "short_history", "holds a NaN"),
+    (FearsGhosts, "arms_agree_without_predictions", "the two arms differ in Plan.inputs"),
+    (Teleporter, "vehicle_model", "make them with VehicleParameters.step"),
+    (Rocket, "actuator_limits", "limit them with VehicleParameters.clip_input"),
+    (Sleeper, "time", "move what does not change to prepare()"),
+]
+
+
+@pytest.mark.parametrize(
+    ("planner", "name", "message"), BAD_PLANNERS, ids=[bad[0].__name__ for bad in BAD_PLANNERS]
+)
+def test_a_bad_planner_fails_at_its_own_rule(
+    planner: Callable[..., Any], name: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(conformance, "SLOW_SECONDS", 0.03)
+    found = failures(check_planner(planner))
+    assert message in found[name]
+    assert "\n" not in found[name]
+    assert set(found) - ALSO.get(name, set()) == {name}
+
+
+class GoodPredictor(ConstantVelocityPredictor):
+    name = "good-v1"
+
+    def sets(self, observation: Observation, **changed: Any) -> Occupancy:
+        plain = super().compute_occupancy(observation)
+        fields = {f: getattr(plain, f) for f in plain.__dataclass_fields__} | changed
+        return Occupancy(**fields)
+
+
+class ForgetsSomebody(GoodPredictor):
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        return self.sets(observation, ids=observation.ids[::-1])
+
+
+class FixedHorizon(GoodPredictor):
+    def __init__(self, *, seed: int = 0, horizon: int = 40) -> None:
+        super().__init__(seed=seed, horizon=horizon)
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        wanted, self.horizon = self.horizon, 40
+        try:
+            return super().compute_occupancy(observation)
+        finally:
+            self.horizon = wanted
+
+
+class NoHorizon(GoodPredictor):
+    def __init__(self, *, seed: int = 0) -> None:
+        super().__init__(seed=seed)
+
+
+class PredictsNan(GoodPredictor):
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        shape = (len(observation.ids), self.horizon, 2)
+        return self.sets(observation, centre=np.full(shape, np.nan))
+
+
+class Gambler(GoodPredictor):
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        shape = (len(observation.ids), self.horizon, 2)
+        return self.sets(observation, semi_axes=np.random.default_rng().uniform(size=shape))
+
+
+class Learner(GoodPredictor):
+    met = 0.0
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        self.met += 0.01
+        shape = (len(observation.ids), self.horizon, 2)
+        return self.sets(observation, semi_axes=np.full(shape, self.met))
+
+
+class Scribbler(GoodPredictor):
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        assert observation.states.base is not None
+        observation.states.base[..., 0] += 1.0
+        return super().compute_occupancy(observation)
+
+
+class Loner(GoodPredictor):
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        observation.size.max()
+        return super().compute_occupancy(observation)
+
+
+class Historian(GoodPredictor):
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        shape = (len(observation.ids), self.horizon)
+        first = np.broadcast_to(observation.states[:, :1, 2], shape)
+        return self.sets(observation, heading=first)
+
+
+BAD_PREDICTORS = [
+    (NoHorizon, "constructs", "unexpected keyword argument 'horizon'"),
+    (GoodPlanner, "constructs", "unexpected keyword argument 'horizon'"),
+    (ForgetsSomebody, "predicts", "Occupancy.ids must be observation.ids"),
+    (PredictsNan, "predicts", "Occupancy.centre holds a NaN"),
+    (FixedHorizon, "one_step_horizon", "predicted 40 steps, asked for 1"),
+    (Gambler, "deterministic", "differ in Occupancy.semi_axes"),
+    (Learner, "reset_forgets", "another Occupancy.semi_axes"),
+    (Scribbler, "input_untouched", "changed Observation.states"),
+    (Loner, "no_road_users", "zero-size array"),
+    (Historian, "short_history", "Occupancy.heading holds a NaN"),
+]
+
+
+@pytest.mark.parametrize(
+    ("predictor", "name", "message"),
+    BAD_PREDICTORS,
+    ids=[bad[0].__name__ for bad in BAD_PREDICTORS],
+)
+def test_a_bad_predictor_fails_at_its_own_rule(
+    predictor: Callable[..., Any], name: str, message: str
+) -> None:
+    found = failures(check_predictor(predictor))
+    assert message in found[name]
+    assert set(found) - ALSO.get(name, set()) == {name}
+
+
+def test_good_plugins_pass_every_check() -> None:
+    for report in (check_planner(GoodPlanner), check_predictor(GoodPredictor)):
+        assert report.ok
+        assert report.plugin == "good-v1"
+        assert len({check.name for check in report.checks}) == len(report.checks) >= 11
+        assert all(check.message == "" for check in report.checks)
+
+
+def test_a_factory_may_be_a_function() -> None:
+    assert check_planner(lambda *, seed: CruisePlanner(seed=seed)).ok
+
+
+def test_nothing_but_seed_and_horizon_is_passed() -> None:
+    seen: list[dict[str, int]] = []
+
+    def make(**options: int) -> Predictor:
+        seen.append(options)
+        return ConstantVelocityPredictor(**options)
+
+    assert check_predictor(make).ok
+    assert all(set(options) == {"seed", "horizon"} for options in seen)
+    assert {options["horizon"] for options in seen} == {conformance.HORIZON, 1}
+
+
+class Prepared(GoodPlanner):
+    def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
+        raise OSError("no weights")
+
+
+def test_a_planner_that_cannot_prepare_says_where() -> None:
+    found = failures(check_planner(Prepared))
+    assert found.keys() == {"plans"}
+    assert found["plans"].startswith("raised OSError: no weights (test_conformance.py:")

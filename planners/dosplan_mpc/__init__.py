@@ -1,0 +1,1 @@
+"""dosplan's optimisation planner: model-predictive control with CasADi and fatrop."""

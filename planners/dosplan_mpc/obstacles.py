@@ -1,0 +1,194 @@
+"""Forbidden sets: a road user's occupancy, widened by its footprint and by the ego's discs.
+
+The centre of a covering disc of radius r has to stay out of the Minkowski sum of the road user's
+rectangle, its occupancy ellipse and the disc. That sum S is bounded by a superellipse of order
+four along the road user's heading, ``(x/A)^4 + (y/B)^4 <= 1``: it is smooth and fits a rectangle
+with a disc within a few per cent, where an ellipse gives away 41 % of the width.
+
+A and B are the sum's extents times the smallest scale at which the support function of the
+superellipse, ``(|A n_x|^(4/3) + |B n_y|^(4/3))^(3/4)``, is nowhere below that of S,
+``h_x |n_x| + h_y |n_y| + sqrt(n' Q n) + r``: then the superellipse holds S (Rockafellar, "Convex
+Analysis", theorem 13.1). The scale is found on a fan of directions; ``_FAN_MARGIN`` covers what
+lies between them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dosplan.types import BoolArray, FloatArray, IntArray, Occupancy
+from dosplan_mpc.nlp import EMPTY_SLOT
+
+_FAN = np.linspace(0.0, np.pi, 32, endpoint=False)
+_FAN_BOUND = (np.abs(np.cos(_FAN)) ** (4.0 / 3.0) + np.abs(np.sin(_FAN)) ** (4.0 / 3.0)) ** 0.75
+_FAN_MARGIN = 1.005
+_RELEASE_SECONDS = 1.5  # Time after which a set that holds the ego now counts in full.
+_SMALLEST_RELEASE = 0.6  # A set is never shrunk below this share.
+_CLEARANCE = 1.02  # Normalised distance that the ego keeps to a shrunk set.
+
+
+@dataclass(frozen=True)
+class ForbiddenSets:
+    """Superellipses that the centres of the ego's discs have to stay out of.
+
+    Attributes:
+        ids: (n,) ids of the road users.
+        slots: (n, T, 6) centre x, y, m, and the two rows of M with ``z = M (p - c)``, 1/m; a
+            point is inside where ``z1^4 + z2^4 < 1``. Column t stands for t + 1 steps from now.
+    """
+
+    ids: IntArray
+    slots: FloatArray
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """Normalised distance: below one inside a set.
+
+        Args:
+            points: (..., T, D, 2) centres of D discs at the T steps, m.
+
+        Returns:
+            (..., n, T) smallest distance over the discs.
+        """
+        s = self.slots
+        delta = points[..., None, :, :, :] - s[:, :, None, :2]
+        z1 = s[..., None, 2] * delta[..., 0] + s[..., None, 3] * delta[..., 1]
+        z2 = s[..., None, 4] * delta[..., 0] + s[..., None, 5] * delta[..., 1]
+        z1 *= z1
+        z2 *= z2
+        return np.asarray(np.sqrt(np.sqrt((z1 * z1 + z2 * z2).min(axis=-1))))
+
+    def nearest(self, points: FloatArray, count: int) -> ForbiddenSets:
+        """The sets that come closest to a trajectory.
+
+        Args:
+            points: (T, D, 2) centres of the discs along it, m.
+            count: How many to keep at the most.
+
+        Returns:
+            At most ``count`` sets, the closest first.
+        """
+        if len(self.ids) == 0:
+            return self
+        order = np.argsort(self.distance(points).min(axis=-1), kind="stable")[:count]
+        return ForbiddenSets(self.ids[order], self.slots[order])
+
+
+def superellipse_axes(
+    footprint: FloatArray, semi_axes: FloatArray, turn: FloatArray, radius: float
+) -> FloatArray:
+    """Semi-axes of a superellipse of order four that holds rectangle + ellipse + disc.
+
+    Args:
+        footprint: (..., 2) length and width of the rectangle, m.
+        semi_axes: (..., 2) semi-axes of the ellipse, m.
+        turn: (...) angle of the ellipse's first axis in the rectangle's frame, rad.
+        radius: Radius of the disc, m.
+
+    Returns:
+        (..., 2) semi-axes along and across the rectangle, m.
+    """
+    half = footprint / 2.0
+    a, b = semi_axes[..., 0], semi_axes[..., 1]
+    along = np.hypot(a * np.cos(turn), b * np.sin(turn))
+    across = np.hypot(a * np.sin(turn), b * np.cos(turn))
+    axes = np.stack([half[..., 0] + along, half[..., 1] + across], axis=-1) + radius
+    # Directions of the fan are even in coordinates in which the superellipse is as long as wide.
+    nx, ny = np.cos(_FAN) / axes[..., 0, None], np.sin(_FAN) / axes[..., 1, None]
+    cos, sin = np.cos(turn)[..., None], np.sin(turn)[..., None]
+    support = (
+        half[..., 0, None] * np.abs(nx)
+        + half[..., 1, None] * np.abs(ny)
+        + np.hypot(a[..., None] * (cos * nx + sin * ny), b[..., None] * (cos * ny - sin * nx))
+        + radius * np.hypot(nx, ny)
+    )
+    return np.asarray(axes * (_FAN_MARGIN * (support / _FAN_BOUND).max(axis=-1))[..., None])
+
+
+def forbidden_sets(
+    occupancy: Occupancy, horizon: int, radius: float, keep: IntArray
+) -> ForbiddenSets:
+    """Widens the sets of some road users.
+
+    Args:
+        occupancy: Predicted sets.
+        horizon: Number T of steps that are wanted.
+        radius: Radius of the ego's discs, m.
+        keep: (n,) rows of the road users that matter.
+
+    Returns:
+        Their forbidden sets; where a road user is not predicted, its set is out of reach.
+    """
+    valid = occupancy.valid[keep, :horizon]
+    heading = np.where(valid, occupancy.heading[keep, :horizon], 0.0)
+    centre = np.where(valid[..., None], occupancy.centre[keep, :horizon], 0.0)
+    semi_axes = np.where(valid[..., None], occupancy.semi_axes[keep, :horizon], 0.0)
+    turn = np.where(valid, occupancy.angle[keep, :horizon], 0.0) - heading
+    footprint = np.broadcast_to(occupancy.footprint[keep, None], semi_axes.shape)
+    axes = superellipse_axes(footprint, semi_axes, turn, radius)
+    cos, sin = np.cos(heading), np.sin(heading)
+    slots = np.stack(
+        [
+            centre[..., 0],
+            centre[..., 1],
+            cos / axes[..., 0],
+            sin / axes[..., 0],
+            -sin / axes[..., 1],
+            cos / axes[..., 1],
+        ],
+        axis=-1,
+    )
+    return ForbiddenSets(
+        occupancy.ids[keep], np.where(valid[..., None], slots, np.array(EMPTY_SLOT))
+    )
+
+
+def release(sets: ForbiddenSets, points: FloatArray, dt: float) -> ForbiddenSets:
+    """Shrinks sets that hold the ego already, so that it need not jump out of them.
+
+    A set that contains the ego at the first step cannot be obeyed; left in full it would throw
+    the ego aside. It begins at the size at which the ego is just outside and regains its full
+    size over ``_RELEASE_SECONDS``.
+
+    Args:
+        sets: Forbidden sets.
+        points: (D, 2) centres of the ego's discs now, m.
+        dt: Step, s.
+
+    Returns:
+        Sets of which none holds the ego by more than the smallest share allows.
+    """
+    if len(sets.ids) == 0:
+        return sets
+    first = ForbiddenSets(sets.ids, sets.slots[:, :1])
+    now = first.distance(points[None])[:, 0]
+    share = np.clip(now / _CLEARANCE, _SMALLEST_RELEASE, 1.0)
+    time = dt * np.arange(sets.slots.shape[1]) / _RELEASE_SECONDS
+    factor = share[:, None] + (1.0 - share[:, None]) * np.minimum(time, 1.0)
+    slots = sets.slots.copy()
+    slots[..., 2:] /= factor[..., None]
+    return ForbiddenSets(sets.ids, slots)
+
+
+def stretch_back(sets: ForbiddenSets, rows: BoolArray, length: float) -> ForbiddenSets:
+    """Lengthens sets towards their rear; their front edges stay where they are.
+
+    A follower that overlaps the ego is left by driving on, not by letting it pass through: with
+    a long tail, the way out of its set is ahead.
+
+    Args:
+        sets: Forbidden sets.
+        rows: (n,) which of them to lengthen.
+        length: By how much, m.
+
+    Returns:
+        The sets.
+    """
+    slots = sets.slots.copy()
+    axis = slots[rows, :, 2:4]
+    inverse = np.linalg.norm(axis, axis=-1, keepdims=True)
+    direction = axis / inverse
+    slots[rows, :, :2] -= 0.5 * length * direction
+    slots[rows, :, 2:4] = direction / (1.0 / inverse + 0.5 * length)
+    return ForbiddenSets(sets.ids, slots)

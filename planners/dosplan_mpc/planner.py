@@ -1,0 +1,301 @@
+"""The planner: reference, sets, initial guess, solve, check, fallback."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from dosplan.api import Planner
+from dosplan.types import (
+    EGO_HEADING,
+    EGO_SIZE,
+    EGO_VELOCITY,
+    FloatArray,
+    Observation,
+    Occupancy,
+    Plan,
+    PlanningTask,
+    RoadMap,
+    SolveReport,
+)
+from dosplan.vehicle import VehicleParameters
+from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.goal import GoalWindow, SpeedProfile, locate_goals, plan_speed
+from dosplan_mpc.nlp import (
+    EMPTY_SLOT,
+    REFERENCE_SIZE,
+    STAGE_HEAD,
+    STATION_SIZE,
+    STATIONS,
+    Guess,
+    MpcProblem,
+    Solution,
+    disc_offsets,
+    problem,
+    station_offsets,
+)
+from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, stretch_back
+from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, RIGHT, ReferencePath, X, Y
+from dosplan_mpc.sampler import Candidates, Sampler
+from dosplan_mpc.traffic import Traffic, look_around
+
+_SLACK_SEEN = 0.02  # A slack above this makes the planner look at alternatives.
+_BETTER = 0.25  # Share by which a candidate must beat the warm start to be solved as well.
+_WORTH_IT = 3.0  # Cost by which it must beat it at least.
+_TAIL = 15.0  # Metres by which a follower's set is lengthened to its rear.
+_WATCHED = 16  # Road users whose sets are widened; the nearest of them fill the slots.
+
+
+@dataclass
+class _Memory:
+    """What a cycle leaves to the next one of the same episode."""
+
+    step: int
+    guess: Guess
+    slack: float
+    cycles: int
+
+
+class MpcPlanner(Planner):
+    """Model-predictive control that keeps out of occupancy sets."""
+
+    name: ClassVar[str] = "mpc-v1"
+
+    def __init__(self, *, seed: int = 0, config: MpcConfig | None = None) -> None:
+        """Keeps the settings; the problem itself is built at the first episode.
+
+        Args:
+            seed: Seed of the run; the planner draws nothing at random.
+            config: Settings; the defaults where None.
+        """
+        super().__init__(seed=seed)
+        self.config = config or MpcConfig()
+
+    def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
+        """Lays out path and goals; forgets the last episode.
+
+        Args:
+            task: Start, goal and route.
+            road_map: The map; the route already holds its edges.
+            vehicle: The ego.
+        """
+        del road_map
+        self._vehicle = vehicle
+        self._dt = task.dt
+        self._problem: MpcProblem = problem(self.config, vehicle, task.dt)
+        _, self._radius = disc_offsets(vehicle, self.config.discs)
+        self._stations = station_offsets(vehicle)
+        self._path = _aligned(task)
+        self._windows: tuple[GoalWindow, ...] = locate_goals(task, self._path)
+        self._sampler = Sampler(self.config, vehicle, self._path, task.dt)
+        self._start_velocity = float(task.start[EGO_VELOCITY])
+        self._arclength = float(self._path.locate(task.start[:2]))
+        self._memory: _Memory | None = None
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        """Plans one cycle.
+
+        Args:
+            observation: What is known now.
+            occupancy: Sets to keep out of.
+
+        Returns:
+            The plan.
+
+        Raises:
+            ValueError: The sets do not reach as far as the planner looks ahead.
+        """
+        if occupancy.horizon < self.config.horizon:
+            raise ValueError(
+                f"the sets reach {occupancy.horizon} steps ahead, the planner needs "
+                f"{self.config.horizon}; raise the predictor's horizon"
+            )
+        start = np.append(observation.ego, _previous_acceleration(observation))
+        located, offset = self._path.project(observation.ego[:2], np.array(self._arclength))
+        self._arclength = float(located)
+        position = self._arclength + self._vehicle.rear_to_centre
+        traffic = look_around(
+            observation, self._path, self._vehicle, position, float(offset), self._start_velocity
+        )
+        profile = plan_speed(
+            self._path,
+            self._windows,
+            observation.step,
+            self._dt,
+            position,
+            float(observation.ego[EGO_VELOCITY]),
+            traffic.cruise,
+            self.config,
+        )
+        warm = self._warm_start(observation.step)
+        sets = self._sets(observation, occupancy, profile, traffic)
+        memory = self._memory
+        due = memory is None or memory.cycles % self.config.resample_every == 0
+        attempts: list[tuple[Solution, ForbiddenSets]] = []
+        fallback: Guess | None = None
+        if warm is not None:
+            attempts.append(self._solve(start, warm, sets, profile))
+        if due or (memory is not None and memory.slack > _SLACK_SEEN) or not _usable(attempts):
+            fallback, cost = self._best_sample(start, float(offset), sets, profile)
+            bar = self._rate_guess(warm, sets, profile) if warm is not None else np.inf
+            if cost < bar - max(_WORTH_IT, _BETTER * bar) or not _usable(attempts):
+                attempts.append(self._solve(start, fallback, sets, profile))
+        solution, chosen = min(attempts, key=lambda a: (not a[0].usable, a[0].cost))
+        report = SolveReport(
+            status=solution.status,
+            iterations=sum(s.iterations for s, _ in attempts),
+            seconds=sum(s.seconds for s, _ in attempts),
+            slack=float(solution.set_slack.max()),
+            active_ids=_active(chosen, solution),
+        )
+        if not solution.usable and fallback is not None:
+            self._memory = None
+            return _plan(observation, fallback, replace(report, fallback="sampled"))
+        arclength, _ = self._path.project(solution.states[:, :2], self._expected(solution.states))
+        self._memory = _Memory(
+            step=observation.step,
+            guess=Guess(
+                solution.states,
+                solution.inputs,
+                solution.set_slack,
+                solution.road_slack,
+                arclength,
+            ),
+            slack=report.slack,
+            cycles=memory.cycles + 1 if memory else 1,
+        )
+        return _plan(observation, self._memory.guess, report)
+
+    def _sets(
+        self,
+        observation: Observation,
+        occupancy: Occupancy,
+        profile: SpeedProfile,
+        traffic: Traffic,
+    ) -> ForbiddenSets:
+        """Forbidden sets of the road users that come closest to where the ego will be."""
+        n = self.config.horizon
+        way = self._path.at(profile.arclength[1:])[:, :2]
+        delta = np.where(occupancy.valid[:, :n, None], occupancy.centre[:, :n] - way, np.inf)
+        away = np.sqrt((delta**2).sum(axis=-1)).min(axis=-1, initial=np.inf)
+        keep = np.argsort(away, kind="stable")[:_WATCHED]
+        keep = keep[np.isfinite(away[keep])]
+        sets = forbidden_sets(occupancy, n, self._radius, keep)
+        sets = stretch_back(sets, traffic.followers[keep], _TAIL)
+        return release(sets, self._sampler.disc_centres(observation.ego), self._dt)
+
+    def _best_sample(
+        self, start: FloatArray, offset: float, sets: ForbiddenSets, profile: SpeedProfile
+    ) -> tuple[Guess, float]:
+        """The best sampled candidate and its cost."""
+        candidates = self._sampler.sample(start, self._arclength, offset, profile)
+        costs = self._sampler.rate(candidates, sets, profile)
+        best = int(np.argmin(costs))
+        return self._sampler.guess(candidates, best), float(costs[best])
+
+    def _warm_start(self, step: int) -> Guess | None:
+        """The last solution, moved along time by the steps that have passed."""
+        if self._memory is None:
+            return None
+        passed = step - self._memory.step
+        n = self.config.horizon
+        if not 0 < passed < n:
+            return None
+        g = self._memory.guess
+        inputs = np.vstack([g.inputs[passed:], np.zeros((passed, 2))])
+        tail = [g.states[-1]]
+        for _ in range(passed):
+            moved = self._vehicle.step(tail[-1][:EGO_SIZE], np.zeros(2), self._dt)
+            tail.append(np.append(moved, 0.0))
+        states = np.vstack([g.states[passed:], tail[1:]])
+        keep = np.minimum(np.arange(n) + passed, n - 1)
+        gone = np.minimum(np.arange(n + 1) + passed, n)
+        over = np.maximum(np.arange(n + 1) + passed - n, 0)
+        return Guess(
+            states=states,
+            inputs=inputs,
+            set_slack=np.zeros_like(g.set_slack),
+            road_slack=g.road_slack[keep],
+            arclength=g.arclength[gone] + over * self._dt * states[-1, EGO_VELOCITY],
+        )
+
+    def _expected(self, states: FloatArray) -> FloatArray:
+        """Arc lengths to begin a projection with: the way that was driven, added up."""
+        way = np.hypot(np.diff(states[:, 0]), np.diff(states[:, 1]))
+        return self._arclength + np.concatenate([[0.0], np.cumsum(way)])
+
+    def _rate_guess(self, guess: Guess, sets: ForbiddenSets, profile: SpeedProfile) -> float:
+        s, offset = self._path.project(guess.states[:, :2], guess.arclength)
+        states = guess.states.copy()
+        states[1:, 5] = guess.inputs[:, 1]
+        candidate = Candidates(states[None], guess.inputs[None], s[None], offset[None])
+        return float(self._sampler.rate(candidate, sets, profile)[0])
+
+    def _solve(
+        self, start: FloatArray, guess: Guess, sets: ForbiddenSets, profile: SpeedProfile
+    ) -> tuple[Solution, ForbiddenSets]:
+        discs = self._sampler.disc_centres(guess.states)
+        chosen = sets.nearest(discs[1:], self.config.slots)
+        stages = np.empty((self.config.horizon + 1, self._problem.stage_size))
+        s, _ = self._path.project(guess.states[:, :2], guess.arclength)
+        row = self._path.at(s)
+        stages[:, :4] = row[:, [X, Y, HEADING, CURVATURE]]
+        stages[:, 4] = profile.velocity
+        stages[:, 5] = profile.offset
+        heading = guess.states[:, EGO_HEADING, None]
+        points = guess.states[:, None, :2] + self._stations[:, None] * np.stack(
+            [np.cos(heading), np.sin(heading)], axis=-1
+        )
+        along, _ = self._path.project(points, s[:, None] + self._stations)
+        beside = self._path.at(along)
+        stations = beside[..., [X, Y, HEADING, CURVATURE, RIGHT, LEFT]]
+        # A goal narrows the way of the ego's centre; the middle station's edges are of its sides.
+        half = self._vehicle.width / 2.0 + self.config.road_margin
+        stations[:, 1, 4] = np.maximum(stations[:, 1, 4], profile.right - half)
+        stations[:, 1, 5] = np.minimum(stations[:, 1, 5], profile.left + half)
+        stages[:, REFERENCE_SIZE:STAGE_HEAD] = stations.reshape(-1, STATIONS * STATION_SIZE)
+        slots = np.tile(np.array(EMPTY_SLOT), (self.config.horizon + 1, self.config.slots, 1))
+        slots[1:, : len(chosen.ids)] = chosen.slots.transpose(1, 0, 2)
+        stages[:, STAGE_HEAD:] = slots.reshape(len(slots), -1)
+        if len(chosen.ids):
+            # Slots change their owner between cycles: slacks are made anew from the guess.
+            slack = np.zeros_like(guess.set_slack)
+            inside = 1.0 - chosen.distance(discs[1:]).T
+            slack[:, : len(chosen.ids)] = np.maximum(inside, 0.0)
+            guess = replace(guess, set_slack=slack)
+        return self._problem.solve(start, stages, guess), chosen
+
+
+def _usable(attempts: list[tuple[Solution, ForbiddenSets]]) -> bool:
+    return any(solution.usable for solution, _ in attempts)
+
+
+def _plan(observation: Observation, guess: Guess, report: SolveReport) -> Plan:
+    states = guess.states[:, :EGO_SIZE].copy()
+    states[0] = observation.ego
+    return Plan(states=states, inputs=guess.inputs, report=report)
+
+
+def _aligned(task: PlanningTask) -> ReferencePath:
+    """The reference path with its heading on the same turn as the ego's."""
+    path = ReferencePath(task.route)
+    row = path.at(path.locate(task.start[:2]))
+    turns = np.round((task.start[EGO_HEADING] - row[HEADING]) / (2.0 * np.pi))
+    path.table[:, HEADING] += 2.0 * np.pi * turns
+    return path
+
+
+def _previous_acceleration(observation: Observation) -> float:
+    """Acceleration of the last step; zero at the start, where it is not known."""
+    history = observation.ego_history[:, EGO_VELOCITY]
+    if len(history) < 2 or not np.isfinite(history[-2]):
+        return 0.0
+    return float((history[-1] - history[-2]) / observation.dt)
+
+
+def _active(sets: ForbiddenSets, solution: Solution) -> tuple[int, ...]:
+    """Road users whose slack is seen in the solution."""
+    touched = solution.set_slack.max(axis=0)[: len(sets.ids)] > 1e-3
+    return tuple(int(i) for i in sets.ids[touched])

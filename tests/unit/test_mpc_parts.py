@@ -1,0 +1,401 @@
+"""The parts of the optimisation planner: sets, path, goals, sampler, optimal control problem."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.goal import braking_envelope, cruise_for_goal, locate_goals, plan_speed
+from dosplan_mpc.nlp import (
+    EMPTY_SLOT,
+    REFERENCE_SIZE,
+    SLOT_SIZE,
+    STAGE_HEAD,
+    STATION_SIZE,
+    Guess,
+    MpcProblem,
+    disc_offsets,
+    problem,
+    station_offsets,
+)
+from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, superellipse_axes
+from dosplan_mpc.reference import CURVATURE, HEADING, ReferencePath
+from dosplan_mpc.sampler import Sampler
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely.geometry import box
+
+from dosplan.geometry import rectangle_corners
+from dosplan.scenes import straight_route, straight_scenario
+from dosplan.types import FloatArray, GoalState, Occupancy, PlanningTask, Route, SolveStatus
+from dosplan.vehicle import VehicleParameters
+
+VEHICLE = VehicleParameters()
+DT = 0.1
+
+
+def circle_route(radius: float, turn: float = np.pi) -> Route:
+    """An arc to the left that begins in the origin along +x, four metres free on both sides."""
+    s = np.arange(0.0, radius * turn, 0.5)
+    angle = s / radius
+    path = np.stack([radius * np.sin(angle), radius * (1.0 - np.cos(angle))], axis=1)
+    ones = np.ones_like(s)
+    return Route(
+        lanelet_ids=(1,),
+        arclength=s,
+        path=path,
+        heading=angle,
+        curvature=ones / radius,
+        left=4.0 * ones,
+        right=-4.0 * ones,
+        speed_limit=np.inf * ones,
+    )
+
+
+# Sets
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_discs_cover_the_ego(count: int) -> None:
+    offsets, radius = disc_offsets(VEHICLE, count)
+    state = VEHICLE.state_at(np.zeros(2), 0.0, 0.0)
+    centres = np.stack([state[0] + offsets, np.full(count, state[1])], axis=1)
+    grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 61), np.linspace(-0.5, 0.5, 41)), axis=-1)
+    points = grid.reshape(-1, 2) * VEHICLE.size
+    away = np.linalg.norm(points[:, None] - centres, axis=-1).min(axis=1)
+    assert away.max() <= radius + 1e-9
+    # The corners are the farthest points: a smaller radius would leave them out.
+    assert away.max() == pytest.approx(radius)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    length=st.floats(0.3, 18.0),
+    width=st.floats(0.3, 3.0),
+    a=st.floats(0.0, 12.0),
+    b=st.floats(0.0, 4.0),
+    turn=st.floats(-np.pi, np.pi),
+    radius=st.floats(0.2, 1.5),
+    seed=st.integers(0, 2**31),
+)
+def test_superellipse_holds_the_minkowski_sum(
+    length: float, width: float, a: float, b: float, turn: float, radius: float, seed: int
+) -> None:
+    """Points of rectangle + ellipse + disc, drawn on their edges, are never outside."""
+    axes = superellipse_axes(np.array([length, width]), np.array([a, b]), np.array(turn), radius)
+    rng = np.random.default_rng(seed)
+    n = 4000
+    corners = rectangle_corners(np.zeros(3), (length, width))
+    t = rng.uniform(0.0, 2.0 * np.pi, (2, n))
+    ellipse = np.stack([a * np.cos(t[0]), b * np.sin(t[0])], axis=1)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    disc = radius * np.stack([np.cos(t[1]), np.sin(t[1])], axis=1)
+    points = corners[rng.integers(0, 4, n)] + ellipse @ rotation.T + disc
+    assert (((points / axes) ** 4).sum(axis=1)).max() <= 1.0
+    # Nor does it give lanes away: each half extent is at most 19 % (2^(1/4)) above the sum's.
+    extent = np.array([length, width]) / 2.0 + np.hypot(*(np.diag([a, b]) @ rotation.T)) + radius
+    assert np.all(axes <= extent * 2**0.25 * 1.006)
+
+
+def occupancy_at(x: float, y: float, heading: float = 0.0, semi: float = 0.0) -> Occupancy:
+    """A car that stands still, predicted for 40 steps."""
+    ones = np.ones((1, 40))
+    return Occupancy(
+        ids=np.array([7]),
+        centre=np.tile([x, y], (1, 40, 1)),
+        semi_axes=semi * np.ones((1, 40, 2)),
+        angle=0.3 * ones,
+        valid=ones > 0,
+        footprint=np.array([[4.5, 1.8]]),
+        heading=heading * ones,
+    )
+
+
+def test_forbidden_set_follows_heading_and_grows_with_the_set() -> None:
+    across = forbidden_sets(occupancy_at(10.0, 0.0, np.pi / 2), 30, 1.0, np.array([0]))
+    wide = forbidden_sets(occupancy_at(10.0, 0.0, np.pi / 2, 1.0), 30, 1.0, np.array([0]))
+    beside = np.array([[[[10.0, 3.3]]]] * 1).repeat(30, axis=1)[0]  # along the car's length
+    ahead = np.array([[[[13.4, 0.0]]]] * 1).repeat(30, axis=1)[0]  # across it
+    assert across.distance(beside)[0, 0] < across.distance(ahead)[0, 0]
+    assert wide.distance(beside)[0, 0] < across.distance(beside)[0, 0]
+    # Half the length, the disc, and at most 19 %: 2.25 + 1 = 3.25 m.
+    assert across.distance(np.full((30, 1, 2), [10.0, 3.25])).max() <= 1.0
+    assert across.distance(np.full((30, 1, 2), [10.0, 3.25 * 1.2])).min() > 1.0
+
+
+def test_unpredicted_road_user_is_out_of_reach() -> None:
+    gone = replace(occupancy_at(10.0, 0.0), valid=np.zeros((1, 40), dtype=np.bool_))
+    sets = forbidden_sets(gone, 30, 1.0, np.array([0]))
+    assert sets.distance(np.full((30, 1, 2), [10.0, 0.0])).min() > 100.0
+
+
+def test_release_lets_go_of_the_ego_and_comes_back() -> None:
+    sets = forbidden_sets(occupancy_at(0.0, 2.0), 30, 1.0, np.array([0]))
+    ego = np.array([[0.0, 0.3]])
+    assert sets.distance(ego[None].repeat(30, axis=0))[0, 0] < 1.0
+    released = release(sets, ego, DT).distance(ego[None].repeat(30, axis=0))[0]
+    assert released[0] >= 1.0
+    assert np.all(np.diff(released) <= 1e-12)
+    np.testing.assert_array_equal(
+        release(sets, ego, DT).slots[:, 15:], sets.slots[:, 15:]
+    )  # full again after 1.5 s
+
+
+def test_release_keeps_sets_that_do_not_hold_the_ego() -> None:
+    sets = forbidden_sets(occupancy_at(0.0, 9.0), 30, 1.0, np.array([0]))
+    np.testing.assert_array_equal(release(sets, np.zeros((1, 2)), DT).slots, sets.slots)
+
+
+def test_nearest_orders_by_normalised_distance() -> None:
+    a = forbidden_sets(occupancy_at(30.0, 0.0), 30, 1.0, np.array([0]))
+    b = forbidden_sets(occupancy_at(12.0, 0.0), 30, 1.0, np.array([0]))
+    both = ForbiddenSets(np.array([1, 2]), np.concatenate([a.slots, b.slots]))
+    way = np.zeros((30, 1, 2))
+    np.testing.assert_array_equal(both.nearest(way, 5).ids, [2, 1])
+    np.testing.assert_array_equal(both.nearest(way, 1).ids, [2])
+
+
+# Path and goals
+
+
+@settings(max_examples=40, deadline=None)
+@given(s=st.floats(3.0, 80.0), d=st.floats(-4.0, 4.0), error=st.floats(-3.0, 3.0))
+def test_projection_inverts_the_frame(s: float, d: float, error: float) -> None:
+    path = ReferencePath(circle_route(30.0))
+    row = path.at(np.array(s))
+    point = row[:2] + d * np.array([-np.sin(row[HEADING]), np.cos(row[HEADING])])
+    along, across = path.project(point, np.array(s + error))
+    # The table is linear between points 0.5 m apart: its sagitta is 0.5^2 / (8 * 30) = 1 mm.
+    assert float(along) == pytest.approx(s, abs=0.02)
+    assert float(across) == pytest.approx(d, abs=0.005)
+    assert path.at(np.array(s))[CURVATURE] == pytest.approx(1 / 30)
+
+
+def goal_task(goal: GoalState) -> PlanningTask:
+    return straight_scenario(goals=[goal], final_step=goal.last_step).task
+
+
+def test_goal_region_is_found_along_the_path() -> None:
+    # The path begins 20 m behind the origin; the region is kept 0.2 m from its edges.
+    task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.5), velocity=(3.0, 5.0)))
+    (window,) = locate_goals(task, ReferencePath(task.route))
+    assert window.begin == pytest.approx(60.2, abs=0.3)
+    assert window.end == pytest.approx(79.8, abs=0.3)
+    assert window.right == pytest.approx(-0.8, abs=0.11)
+    assert window.left == pytest.approx(1.3, abs=0.11)
+    assert window.offset == pytest.approx(0.0, abs=0.06)
+
+
+def test_goal_beside_the_path_asks_for_an_offset() -> None:
+    task = goal_task(GoalState(20, 30, box(40.0, 2.0, 60.0, 5.0)))
+    (window,) = locate_goals(task, ReferencePath(task.route))
+    assert 2.2 <= window.offset <= 4.8
+
+
+def test_goal_with_a_foreign_heading_is_not_on_the_path() -> None:
+    task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0), heading=(1.5, 1.6)))
+    assert locate_goals(task, ReferencePath(task.route)) == ()
+
+
+def test_goal_without_a_region_has_no_window() -> None:
+    task = goal_task(GoalState(20, 30))
+    assert locate_goals(task, ReferencePath(task.route)) == ()
+
+
+def test_braking_envelope_is_the_closed_form() -> None:
+    s = np.arange(0.0, 50.0, 1.0)
+    limit = np.where(s < 30.0, 20.0, 5.0)
+    # v^2 = 5^2 + 2 * 2 * (30 - s) before the limit, capped by 20.
+    expected = np.minimum(20.0, np.sqrt(25.0 + 4.0 * np.maximum(30.0 - s, 0.0)))
+    np.testing.assert_allclose(braking_envelope(limit, s, 2.0), expected)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "begin", "cruise", "low", "high"),
+    [
+        pytest.param(0, 50, 0.0, 10.0, 10.0, 10.0, id="free: drive on"),
+        # 50 m in 4.7 s at a steady 10.6 m/s and a little more for the run-up from 10.
+        pytest.param(0, 50, 50.0, 10.0, 10.6, 13.0, id="deadline: faster"),
+        # Not before 10 s, and the region ends after 70 m: at most 7 m/s.
+        pytest.param(100, 120, 50.0, 10.0, 4.0, 7.2, id="opening: slower"),
+    ],
+)
+def test_cruise_meets_the_window(
+    first: int, last: int, begin: float, cruise: float, low: float, high: float
+) -> None:
+    task = goal_task(GoalState(first, last, box(begin, -1.0, begin + 20.0, 1.0)))
+    (window,) = locate_goals(task, ReferencePath(task.route))
+    grid = 20.0 + np.arange(0.0, 120.0, 1.0)
+    limit = np.full_like(grid, 40.0)
+    met, speed = cruise_for_goal(window, 0, DT, 20.0, 10.0, cruise, grid, limit)
+    assert met
+    assert low <= speed <= high
+
+
+def test_profile_slows_down_for_a_curve() -> None:
+    path = ReferencePath(circle_route(10.0, turn=6.0))
+    profile = plan_speed(path, (), 0, DT, 1.0, 12.0, 12.0, MpcConfig())
+    # sqrt(4 m/s2 * 10 m) = 6.3 m/s
+    assert profile.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
+    assert np.all(profile.velocity >= 0.0)
+
+
+# Sampler
+
+
+def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
+    config = MpcConfig()
+    path = ReferencePath(straight_route())
+    sampler = Sampler(config, VEHICLE, path, DT)
+    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, 10.0, config)
+    start = np.array([0.0, 0.2, 0.0, 10.0, 0.05, 0.0])
+    candidates = sampler.sample(start, 20.0, 0.2, profile)
+    assert np.all(candidates.states[:, 0] == start)
+    assert np.all(np.isfinite(candidates.states))
+    # Positions along a candidate move at its speed, give or take the way to the side.
+    way = np.hypot(*np.moveaxis(np.diff(candidates.states[..., :2], axis=1), -1, 0))
+    assert np.all(way <= candidates.states[:, :-1, 3] * DT * 1.2 + 0.1)
+    ends = candidates.offset[candidates.states[:, -1, 3] > 5.0, -1]
+    assert ends.min() < -0.3  # some go right,
+    assert ends.max() > 3.0  # some to the left lane
+
+
+def test_rating_prefers_the_free_side() -> None:
+    config = MpcConfig()
+    path = ReferencePath(straight_route())
+    sampler = Sampler(config, VEHICLE, path, DT)
+    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, 10.0, config)
+    start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    candidates = sampler.sample(start, 20.0, 0.0, profile)
+    _, radius = disc_offsets(VEHICLE, config.discs)
+    blocked = forbidden_sets(occupancy_at(22.0, -0.5), config.horizon, radius, np.array([0]))
+    best = int(np.argmin(sampler.rate(candidates, blocked, profile)))
+    distance = blocked.distance(sampler.disc_centres(candidates.states[best, 1:]))
+    assert distance.min() > 0.95
+    assert candidates.offset[best].max() > 1.5
+
+
+# Optimal control problem
+
+
+def straight_stages(
+    mpc: MpcProblem, guess: FloatArray, sets: ForbiddenSets | None = None
+) -> FloatArray:
+    """Stage parameters of a straight road along +x with edges 5 m to both sides."""
+    n = mpc.config.horizon
+    stages = np.zeros((n + 1, mpc.stage_size))
+    stages[:, 0] = guess[:, 0]
+    stages[:, 4] = 10.0
+    for i, ahead in enumerate(station_offsets(VEHICLE)):
+        begin = REFERENCE_SIZE + STATION_SIZE * i
+        stages[:, begin] = guess[:, 0] + ahead
+        stages[:, begin + 4 : begin + 6] = [-5.0, 5.0]
+    stages[:, STAGE_HEAD:] = np.tile(EMPTY_SLOT, mpc.config.slots)
+    if sets is not None:
+        stages[1:, STAGE_HEAD : STAGE_HEAD + SLOT_SIZE] = sets.slots[0]
+    return stages
+
+
+def straight_guess(mpc: MpcProblem, lateral: float = 0.0) -> Guess:
+    n = mpc.config.horizon
+    states = np.zeros((n + 1, 6))
+    states[:, 0] = 10.0 * DT * np.arange(n + 1)
+    states[1:, 1] = lateral
+    states[:, 3] = 10.0
+    return Guess(
+        states,
+        np.zeros((n, 2)),
+        np.zeros((n, mpc.config.slots)),
+        np.zeros(n),
+        states[:, 0].copy(),
+    )
+
+
+@pytest.fixture(scope="module")
+def mpc() -> MpcProblem:
+    return problem(MpcConfig(), VEHICLE, DT)
+
+
+def test_problem_is_built_once(mpc: MpcProblem) -> None:
+    assert problem(MpcConfig(), VEHICLE, DT) is mpc
+
+
+def test_solution_obeys_the_vehicle_model(mpc: MpcProblem) -> None:
+    start = np.array([0.0, 0.6, 0.02, 10.0, 0.05, 0.3])
+    guess = straight_guess(mpc)
+    solution = mpc.solve(start, straight_stages(mpc, guess.states), guess)
+    assert solution.status is SolveStatus.SOLVED
+    state = start[:5]
+    for k in range(mpc.config.horizon):
+        state = VEHICLE.step(state, solution.inputs[k], DT)
+        np.testing.assert_allclose(state, solution.states[k + 1, :5], atol=1e-3)
+    assert abs(solution.states[-1, 1]) < 0.3  # it returns to the path
+    assert np.all(np.abs(solution.inputs[:, 0]) <= VEHICLE.max_steering_rate + 1e-6)
+
+
+def test_road_user_is_passed_outside_its_set(mpc: MpcProblem) -> None:
+    _, radius = disc_offsets(VEHICLE, mpc.config.discs)
+    sets = forbidden_sets(occupancy_at(20.0, -0.4), mpc.config.horizon, radius, np.array([0]))
+    guess = straight_guess(mpc, lateral=2.5)
+    start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    solution = mpc.solve(start, straight_stages(mpc, guess.states, sets), guess)
+    assert solution.usable
+    discs, _ = disc_offsets(VEHICLE, mpc.config.discs)
+    x = solution.states[1:]
+    direction = np.stack([np.cos(x[:, 4]), np.sin(x[:, 4])], axis=-1)
+    points = x[:, None, :2] + discs[:, None] * direction[:, None]
+    assert sets.distance(points).min() >= 1.0 - 1e-2
+    assert solution.set_slack.max() < 1e-3
+
+
+def test_unavoidable_set_has_slack_of_its_own(mpc: MpcProblem) -> None:
+    """One set the ego cannot leave must not loosen another."""
+    _, radius = disc_offsets(VEHICLE, mpc.config.discs)
+    n = mpc.config.horizon
+    here = forbidden_sets(occupancy_at(1.4, 0.0), n, radius, np.array([0]))
+    ahead = forbidden_sets(occupancy_at(22.0, -0.4), n, radius, np.array([0]))
+    guess = straight_guess(mpc, lateral=2.5)
+    stages = straight_stages(mpc, guess.states, here)
+    stages[1:, STAGE_HEAD + SLOT_SIZE : STAGE_HEAD + 2 * SLOT_SIZE] = ahead.slots[0]
+    start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    solution = mpc.solve(start, stages, guess)
+    assert solution.usable
+    assert solution.set_slack[:, 0].max() > 0.3
+    assert solution.set_slack[:, 1].max() < 0.01
+
+
+def test_fatrop_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another solver finds the same optimum of the same problem."""
+    config = replace(MpcConfig(), horizon=15, slots=2, tolerance=1e-6)
+    ours = MpcProblem(config, VEHICLE, DT)
+    build = ca.nlpsol
+
+    def ipopt(name: str, _: str, nlp: Any, __: Any) -> Any:
+        quiet: dict[str, Any] = {"print_level": 0, "sb": "yes", "tol": 1e-8}
+        options: dict[str, Any] = {"print_time": False, "ipopt": quiet}
+        return build(name, "ipopt", nlp, options)
+
+    monkeypatch.setattr(ca, "nlpsol", ipopt)
+    oracle = MpcProblem(config, VEHICLE, DT)
+    _, radius = disc_offsets(VEHICLE, config.discs)
+    sets = forbidden_sets(occupancy_at(12.0, -0.8), config.horizon, radius, np.array([0]))
+    guess = straight_guess(ours, lateral=1.5)
+    start = np.array([0.0, 0.4, 0.0, 9.0, 0.03, 0.0])
+    stages = straight_stages(ours, guess.states, sets)
+    a, b = ours.solve(start, stages, guess), oracle.solve(start, stages, guess)
+    assert a.status is b.status is SolveStatus.SOLVED
+    assert a.cost == pytest.approx(b.cost, rel=1e-4)
+    np.testing.assert_allclose(a.states, b.states, atol=5e-3)
+
+
+def test_nan_is_a_status_not_an_exception(mpc: MpcProblem) -> None:
+    guess = straight_guess(mpc)
+    stages = straight_stages(mpc, guess.states)
+    stages[5, 4] = np.nan
+    solution = mpc.solve(np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), stages, guess)
+    assert not solution.usable
+    assert solution.status is SolveStatus.SOLVER_ERROR

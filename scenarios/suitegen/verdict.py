@@ -1,0 +1,76 @@
+"""dosplan's own judgement of a scenario: solvable, and not by holding the speed or by stopping."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from dosplan_baseline.brake import BrakePlanner
+from dosplan_baseline.cruise import CruisePlanner
+from dosplan_simple.predictors import NonePredictor
+
+from dosplan.api import Planner
+from dosplan.scenario import load_scenario
+from dosplan.scoring import score
+from dosplan.simulation import run_episode
+from dosplan.types import Arm, Episode, EpisodeEnd, FloatArray, Outcome, Scenario, Score
+from dosplan.vehicle import VehicleParameters
+
+VEHICLE = VehicleParameters()
+
+
+def recorded_episode(scenario: Scenario, drive: FloatArray) -> Episode:
+    """The recorded drive of the vehicle that was taken out, as an episode.
+
+    Args:
+        scenario: The scenario.
+        drive: (K, 4) centre x, y, heading and velocity from the start step on.
+
+    Returns:
+        An episode with zeros for the inputs, which nobody knows.
+    """
+    states = np.array([VEHICLE.state_at(row[:2], row[2], row[3]) for row in drive])
+    return Episode(
+        scenario_id=scenario.id,
+        arm=Arm.WITHOUT_DOS,
+        start_step=scenario.task.start_step,
+        states=states,
+        inputs=np.zeros((len(states) - 1, 2)),
+        end=EpisodeEnd.TIME_OVER,
+        predict_seconds=np.zeros(0),
+        plan_seconds=np.zeros(0),
+        plans=(),
+        occupancies=(),
+        cycle_steps=np.zeros(0, dtype=np.int64),
+    )
+
+
+def _driven(scenario: Scenario, planner: Planner) -> Score:
+    episode = run_episode(scenario, planner, NonePredictor(), Arm.WITHOUT_DOS)
+    return score(scenario, episode, VEHICLE)
+
+
+def collision_of_constant_speed(path: Path, drive: FloatArray) -> str | None:
+    """Judges a scenario.
+
+    Args:
+        path: The file.
+        drive: (K, 4) the recorded drive, see ``recorded_episode``.
+
+    Returns:
+        Whom an ego hits that holds its speed along the route, and when; None where the
+        scenario is to be rejected: the recorded drive does not succeed, or constant speed or
+        braking to a stop does.
+    """
+    scenario = load_scenario(path)
+    recorded = score(scenario, recorded_episode(scenario, drive), VEHICLE)
+    if recorded.outcome is not Outcome.SUCCESS:
+        return None
+    if _driven(scenario, BrakePlanner()).outcome is Outcome.SUCCESS:
+        return None
+    cruise = _driven(scenario, CruisePlanner())
+    if cruise.outcome is not Outcome.COLLISION or cruise.collision_step is None:
+        return None
+    other = int(np.flatnonzero(scenario.tracks.ids == cruise.collision_with)[0])
+    seconds = (cruise.collision_step - scenario.task.start_step) * scenario.dt
+    return f"{scenario.tracks.kinds[other]} after {seconds:.1f} s ({cruise.collision_class})"

@@ -1,0 +1,87 @@
+"""Where figures come from: revision, versions and machine, for ``run.json``."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Final
+
+from dosplan import __version__
+
+_PACKAGES: Final = (
+    "casadi",
+    "commonroad-io",
+    "networkx",
+    "numpy",
+    "pebble",
+    "python-fcl",
+    "scipy",
+    "shapely",
+    "torch",
+)
+
+
+def describe_environment() -> dict[str, Any]:
+    """Describes what a run is made with.
+
+    Returns:
+        ``versions`` of Python, dosplan and the packages that decide figures, ``git_revision`` of
+        dosplan's own source (None where it does not run from a checkout; ``-dirty`` is appended
+        where that has changes) and ``machine``.
+    """
+    return {
+        "versions": {
+            "python": platform.python_version(),
+            "dosplan": __version__,
+            **_package_versions(),
+        },
+        "git_revision": git_revision(Path(__file__).parent),
+        "machine": {
+            "platform": platform.platform(),
+            "machine": platform.machine(),
+            "cpu_count": os.cpu_count(),
+        },
+    }
+
+
+def git_revision(source: Path) -> str | None:
+    """Names the commit a folder of source stands at.
+
+    Args:
+        source: A folder with an ``__init__.py``.
+
+    Returns:
+        The commit's hash, with ``-dirty`` where tracked files are changed, or None where git is
+        not there, has no commit, or does not track the folder (a wheel installed inside
+        somebody's checkout is not of that checkout's revision).
+    """
+    if _git(source, "ls-files", "--error-unmatch", "__init__.py") is None:
+        return None
+    return _git(source, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*")
+
+
+def _package_versions() -> dict[str, str]:
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = version(package)
+        except PackageNotFoundError:  # An optional one.
+            continue
+    return versions
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    try:
+        done = subprocess.run(  # noqa: S603 - fixed arguments
+            ["git", "-C", str(folder), *arguments],  # noqa: S607 - the user's git
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()

@@ -1,0 +1,240 @@
+"""Finds plug-ins: by entry-point name, as ``module:Class`` or as ``path/to/file.py:Class``.
+
+Listing reads the metadata of installed distributions only; a plug-in is imported when it is
+named, so that a broken or heavy one costs those who do not use it nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from enum import Enum
+from hashlib import sha256
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from dosplan.api import Planner, Predictor
+
+
+class RegistryError(ValueError):
+    """A plug-in that cannot be found, loaded or built; the message is one line."""
+
+
+class PluginKind(Enum):
+    """What can be plugged in: the word for messages, the entry-point group and the base class."""
+
+    PLANNER = ("planner", "dosplan.planners", Planner)
+    PREDICTOR = ("predictor", "dosplan.predictors", Predictor)
+
+    def __init__(self, word: str, group: str, base: type[Any]) -> None:
+        self.word = word
+        self.group = group
+        self.base = base
+
+
+@dataclass(frozen=True)
+class PluginInfo:
+    """An installed plug-in, as its distribution announces it.
+
+    Attributes:
+        name: The name to call it by.
+        target: ``module:Class``.
+        distribution: The distribution that offers it.
+    """
+
+    name: str
+    target: str
+    distribution: str
+
+
+def list_plugins(kind: PluginKind) -> list[PluginInfo]:
+    """Lists the installed plug-ins by name, without importing any.
+
+    Args:
+        kind: Planners or predictors.
+
+    Returns:
+        One entry per offer; a name that two distributions offer appears twice.
+    """
+    offers = [PluginInfo(e.name, e.value, _distribution(e)) for e in entry_points(group=kind.group)]
+    return sorted(offers, key=lambda offer: (offer.name, offer.distribution))
+
+
+def find_planner(spec: str) -> type[Planner]:
+    """Imports the planner that ``spec`` names.
+
+    Args:
+        spec: Entry-point name, ``module:Class`` or ``path/to/file.py:Class``.
+
+    Returns:
+        Its class.
+
+    Raises:
+        RegistryError: There is no such planner, two distributions offer it, its import fails or
+            it is not a complete ``Planner``.
+    """
+    found: type[Planner] = _find(spec, PluginKind.PLANNER)
+    return found
+
+
+def find_predictor(spec: str) -> type[Predictor]:
+    """Imports the predictor that ``spec`` names.
+
+    Args:
+        spec: Entry-point name, ``module:Class`` or ``path/to/file.py:Class``.
+
+    Returns:
+        Its class.
+
+    Raises:
+        RegistryError: As for ``find_planner``.
+    """
+    found: type[Predictor] = _find(spec, PluginKind.PREDICTOR)
+    return found
+
+
+def create_planner(spec: str, seed: int) -> Planner:
+    """Builds the planner that ``spec`` names.
+
+    Args:
+        spec: As for ``find_planner``.
+        seed: Seed of the run.
+
+    Returns:
+        The planner.
+
+    Raises:
+        RegistryError: It cannot be found or its constructor raises.
+    """
+    planner: Planner = _create(find_planner(spec), spec, seed, PluginKind.PLANNER)
+    return planner
+
+
+def create_predictor(spec: str, seed: int) -> Predictor:
+    """Builds the predictor that ``spec`` names.
+
+    Args:
+        spec: As for ``find_predictor``.
+        seed: Seed of the run.
+
+    Returns:
+        The predictor.
+
+    Raises:
+        RegistryError: It cannot be found or its constructor raises.
+    """
+    predictor: Predictor = _create(find_predictor(spec), spec, seed, PluginKind.PREDICTOR)
+    return predictor
+
+
+def one_line(error: BaseException) -> str:
+    """Writes an exception on one line.
+
+    Args:
+        error: Any exception.
+
+    Returns:
+        ``Type: message``, line breaks turned into blanks.
+    """
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _distribution(entry_point: EntryPoint) -> str:
+    return entry_point.dist.name if entry_point.dist is not None else "unknown"
+
+
+def _find(spec: str, kind: PluginKind) -> Any:
+    target = spec if ":" in spec else _installed(spec, kind)
+    location, _, attribute = target.rpartition(":")
+    if not location or not attribute:
+        raise RegistryError(
+            f"{kind.word} {spec!r}: expected a name, module:Class or path/to/file.py:Class"
+        )
+    try:
+        module = (
+            _load_file(location) if location.endswith(".py") else importlib.import_module(location)
+        )
+    except (Exception, SystemExit) as error:  # A plug-in's import may raise anything.
+        raise RegistryError(
+            f"{kind.word} {spec!r} cannot be imported: {one_line(error)}"
+        ) from error
+    found = getattr(module, attribute, None)
+    if found is None:
+        names = [name for name, value in vars(module).items() if _is_plugin(value, kind)]
+        hint = _suggest(attribute, names)
+        raise RegistryError(f"{kind.word} {spec!r}: {location} has no {attribute}{hint}")
+    _check_class(found, spec, kind)
+    return found
+
+
+def _installed(name: str, kind: PluginKind) -> str:
+    offers = [offer for offer in list_plugins(kind) if offer.name == name]
+    if not offers:
+        names = [offer.name for offer in list_plugins(kind)]
+        raise RegistryError(
+            f"no {kind.word} is called {name!r}{_suggest(name, names)}; "
+            f"`dosplan list {kind.word}s` shows them all"
+        )
+    if len(offers) > 1:
+        givers = ", ".join(f"{offer.target} from {offer.distribution}" for offer in offers)
+        raise RegistryError(
+            f"{kind.word} {name!r} is offered {len(offers)} times ({givers}); "
+            "uninstall all but one or name it as module:Class"
+        )
+    return offers[0].target
+
+
+def _suggest(name: str, names: Sequence[str]) -> str:
+    close = get_close_matches(name, names, n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def _load_file(path: str) -> ModuleType:
+    file = Path(path)
+    if not file.is_file():
+        raise FileNotFoundError(f"there is no file {path}")
+    digest = sha256(str(file.resolve()).encode()).hexdigest()[:12]
+    name = f"dosplan_plugin_{file.stem}_{digest}"
+    module_spec = importlib.util.spec_from_file_location(name, file)
+    if module_spec is None or module_spec.loader is None:
+        raise ImportError(f"{path} is not a Python file")
+    module = importlib.util.module_from_spec(module_spec)
+    sys.modules[name] = module  # dataclasses and pickle look a class's module up here.
+    try:
+        module_spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+def _is_plugin(value: object, kind: PluginKind) -> bool:
+    return inspect.isclass(value) and issubclass(value, kind.base) and value is not kind.base
+
+
+def _check_class(found: object, spec: str, kind: PluginKind) -> None:
+    base = kind.base.__name__
+    if not _is_plugin(found, kind):
+        raise RegistryError(f"{kind.word} {spec!r} is not a subclass of dosplan.api.{base}")
+    missing = sorted(getattr(found, "__abstractmethods__", ()))
+    if missing:
+        raise RegistryError(f"{kind.word} {spec!r} does not implement {', '.join(missing)}")
+    if not isinstance(getattr(found, "name", None), str):
+        raise RegistryError(
+            f"{kind.word} {spec!r} has no name; give its class a versioned one, "
+            f'such as name = "my-{kind.word}-v1"'
+        )
+
+
+def _create(found: Any, spec: str, seed: int, kind: PluginKind) -> Any:
+    try:
+        return found(seed=seed)
+    except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
+        raise RegistryError(f"{kind.word} {spec!r} cannot be built: {one_line(error)}") from error

@@ -1,0 +1,183 @@
+"""Tables of figures: for the terminal with rich, for files as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from dosplan.compare import Comparison, Difference
+from dosplan.types import Arm
+
+_ARM_TITLES: Final = {Arm.WITH_DOS: "with DOS", Arm.WITHOUT_DOS: "without DOS"}
+
+Column = tuple[str, str, Callable[[Any], str]]
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f}"
+
+
+def _decimal(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _milliseconds(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
+
+
+# Heading, key of the summary, format. The first table is the one of the paper.
+_MAIN: Final[Sequence[Column]] = (
+    ("Success %", "success_rate", _percent),
+    ("Collision %", "collision_rate", _percent),
+    ("Out of bounds %", "out_of_bounds_rate", _percent),
+    ("Velocity m/s", "velocity", _decimal),
+    ("n", "n", str),
+)
+_MORE: Final[Sequence[Column]] = (
+    ("Safe %", "safe_rate", _percent),
+    ("At-fault collision %", "at_fault_collision_rate", _percent),
+    ("Goal missed %", "goal_missed_rate", _percent),
+    ("Planner failure %", "planner_failure_rate", _percent),
+    ("Cycle p50 ms", "cycle_ms_p50", _milliseconds),
+    ("Cycle p99 ms", "cycle_ms_p99", _milliseconds),
+)
+
+
+def summary_tables(summary: Mapping[str, Any]) -> RenderableType:
+    """Lays a summary out for the terminal.
+
+    Args:
+        summary: Content of ``summary.json``.
+
+    Returns:
+        The paper's columns, the further ones, and a line on the paired difference where both
+        arms ran.
+    """
+    tables = [
+        table(columns, rows) for columns, rows in (_cells(summary, _MAIN), _cells(summary, _MORE))
+    ]
+    return Group(_title(summary), *tables, *_difference_lines(summary))
+
+
+def summary_markdown(summary: Mapping[str, Any]) -> str:
+    """Writes a summary as Markdown.
+
+    Args:
+        summary: Content of ``summary.json``.
+
+    Returns:
+        The text of ``summary.md``.
+    """
+    blocks = [f"# {_title(summary)}"]
+    blocks += [markdown(*_cells(summary, columns)) for columns in (_MAIN, _MORE)]
+    blocks += _difference_lines(summary)
+    return "\n\n".join(blocks) + "\n"
+
+
+def comparison_tables(comparison: Comparison) -> RenderableType:
+    """Lays a comparison out for the terminal.
+
+    Args:
+        comparison: The comparison.
+
+    Returns:
+        The differences, then the scenarios whose outcome differs.
+    """
+    differences = table(
+        ["", "A", "B", "B - A", "95 % interval", "A only", "B only", "McNemar p"],
+        [
+            _difference_row("Success %", comparison.success, 100.0),
+            _difference_row("Safe %", comparison.safe, 100.0),
+            _difference_row("Collision %", comparison.collision, 100.0),
+            _difference_row("At-fault collision %", comparison.at_fault_collision, 100.0),
+            *(
+                [_difference_row("Velocity m/s", comparison.velocity, 1.0)]
+                if comparison.velocity is not None
+                else []
+            ),
+        ],
+    )
+    changes = table(
+        ["Scenario whose outcome differs", "A", "B"],
+        [[c.scenario, c.a.value, c.b.value] for c in comparison.changes],
+        numbers=False,
+    )
+    title = f"A = {comparison.a}\nB = {comparison.b}\nn = {comparison.n}"
+    return Group(title, differences, changes if comparison.changes else "No outcome differs.")
+
+
+def table(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True) -> Table:
+    """Builds a plain table, its first column to the left.
+
+    Args:
+        headings: Column headings.
+        rows: Cells.
+        numbers: Whether the other columns hold numbers and go to the right.
+
+    Returns:
+        The table.
+    """
+    built = Table(box=box.SIMPLE_HEAD)
+    for index, heading in enumerate(headings):
+        built.add_column(heading, justify="right" if numbers and index > 0 else "left")
+    for row in rows:
+        built.add_row(*row)
+    return built
+
+
+def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Writes a table as Markdown, columns as in a ``table`` of numbers.
+
+    Args:
+        headings: Column headings.
+        rows: Cells.
+
+    Returns:
+        The table's lines.
+    """
+    rule = ["---", *["---:"] * (len(headings) - 1)]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (headings, rule, *rows))
+
+
+def _cells(
+    summary: Mapping[str, Any], columns: Sequence[Column]
+) -> tuple[list[str], list[list[str]]]:
+    rows = [
+        [title, *(form(summary[arm.value][key]) for _, key, form in columns)]
+        for arm, title in _ARM_TITLES.items()
+        if arm.value in summary
+    ]
+    return ["Arm", *(heading for heading, _, _ in columns)], rows
+
+
+def _title(summary: Mapping[str, Any]) -> str:
+    run = summary["run"]
+    mark = "" if run["ranked"] else " (unranked: the predictor may see the future)"
+    return f"{run['planner']} with {run['predictor']} on {run['source']}, seed {run['seed']}{mark}"
+
+
+def _difference_lines(summary: Mapping[str, Any]) -> list[str]:
+    if "comparison" not in summary:
+        return []
+    success = summary["comparison"]["success"]
+    return [
+        f"Success, with DOS minus without: {100.0 * success['difference']:+.1f} points "
+        f"(95 % interval {100.0 * success['low']:+.1f} to {100.0 * success['high']:+.1f}; "
+        f"McNemar p = {success['p']:.3g}, n = {summary['comparison']['n']})"
+    ]
+
+
+def _difference_row(title: str, figure: Difference, scale: float) -> list[str]:
+    return [
+        title,
+        f"{scale * figure.a:.2f}",
+        f"{scale * figure.b:.2f}",
+        f"{scale * figure.difference:+.2f}",
+        f"{scale * figure.low:+.2f} to {scale * figure.high:+.2f}",
+        *("-" if count is None else str(count) for count in (figure.only_a, figure.only_b)),
+        "-" if figure.p is None else f"{figure.p:.3g}",
+    ]

@@ -1,0 +1,131 @@
+"""Planners and a predictor for the runner's tests: one that works, several that do not.
+
+Loaded by the runner as ``faulty.py:Class``, by its worker processes too.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+
+import numpy as np
+
+from dosplan.api import OraclePredictor, Planner, Predictor
+from dosplan.types import EGO_SIZE, FloatArray, Observation, Occupancy, Plan, Tracks
+from dosplan.vehicle import VehicleParameters
+
+HORIZON = 10
+
+
+def coast(observation: Observation, acceleration: float = 0.0) -> Plan:
+    """Keeps the wheel still for ``HORIZON`` steps."""
+    vehicle = VehicleParameters()
+    u = np.array([0.0, acceleration])
+    states: FloatArray = np.empty((HORIZON + 1, EGO_SIZE))
+    states[0] = observation.ego
+    for t in range(HORIZON):
+        states[t + 1] = vehicle.step(
+            states[t], vehicle.clip_input(states[t], u, observation.dt), observation.dt
+        )
+    return Plan(states=states, inputs=np.tile(u, (HORIZON, 1)))
+
+
+class CoastPlanner(Planner):
+    """Drives on as it started."""
+
+    name = "coast-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return coast(observation)
+
+
+class SlowPlanner(Planner):
+    """The same, a little late each time."""
+
+    name = "slow-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        time.sleep(0.06)
+        return coast(observation)
+
+
+class RandomPlanner(Planner):
+    """Accelerates at random, from the global generator."""
+
+    name = "random-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return coast(observation, float(np.random.uniform(-1.0, 1.0)))  # noqa: NPY002
+
+
+class LeakyPlanner(Planner):
+    """Is broken for good after its first failure, which scenario 1 brings about."""
+
+    name = "leaky-v1"
+    broken = False
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        self.broken = self.broken or "_Test-1_" in observation.task.scenario_id
+        if self.broken:
+            raise RuntimeError("broken for good")
+        return coast(observation)
+
+
+class FaultyPlanner(Planner):
+    """Fails in another way in each scenario, where it is handed sets that have an extent."""
+
+    name = "faulty-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        name = observation.task.scenario_id
+        if np.any(occupancy.semi_axes > 0.0):
+            if "_Test-1_" in name:
+                raise ValueError("no way\nto go")
+            if "_Test-2_" in name:
+                os._exit(3)
+            if "_Test-3_" in name:
+                os.kill(os.getpid(), signal.SIGSEGV)
+            if "_Test-4_" in name:
+                time.sleep(3600.0)
+            if "_Test-5_" in name:
+                sys.exit("enough")
+        return coast(observation)
+
+
+class UnbuildablePlanner(CoastPlanner):
+    """Cannot be made."""
+
+    name = "unbuildable-v1"
+
+    def __init__(self, *, seed: int = 0) -> None:
+        raise OSError("the weights are missing")
+
+
+class StillPredictor(Predictor):
+    """Everyone stays within a metre of where they are."""
+
+    name = "still-v1"
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        n, t = len(observation.ids), self.horizon
+        now = observation.states[:, -1]
+        return Occupancy(
+            ids=observation.ids,
+            centre=np.repeat(now[:, None, :2], t, axis=1),
+            semi_axes=np.ones((n, t, 2)),
+            angle=np.zeros((n, t)),
+            valid=np.ones((n, t), dtype=np.bool_),
+            footprint=observation.size,
+            heading=np.repeat(now[:, None, 2], t, axis=1),
+        )
+
+
+class SeerPredictor(StillPredictor, OraclePredictor):
+    """Is shown the future, and makes nothing of it."""
+
+    name = "seer-v1"
+
+    def reveal(self, tracks: Tracks) -> None:
+        pass

@@ -1,0 +1,383 @@
+"""A run loses no episode, whatever plug-ins do, and gives the same rows however it is driven."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dosplan import runner
+from dosplan.files import FileError, read_json
+from dosplan.recording import load_recording
+from dosplan.registry import RegistryError
+from dosplan.results import RunFolder, read_rows
+from dosplan.runner import RunConfig, RunError, drive_episode, run
+from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios
+from dosplan.types import Arm, Outcome, Score
+from tests.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+
+FAULTY = Path(__file__).with_name("faulty.py")
+STEPS = 10
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six scenarios of one second: the ego coasts at 10 m/s to a goal 8 to 12 m ahead."""
+    folder = tmp_path_factory.mktemp("scenes")
+    goal = Goal(first_step=0, last_step=STEPS, position=rectangle(4.0, 3.0, 20.0, 0.0))
+    for i in range(6):
+        name = f"ZAM_Test-{i}_1_T-1"
+        write_scenario_xml(
+            folder / f"{name}.xml",
+            users=[User(7, driving(60.0, 0.0, 5.0, STEPS + 1))],
+            problems=[Problem(goals=(goal,))],
+            benchmark_id=name,
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A run of two scenarios in both arms, driven by a worker process."""
+    return run(_config(tmp_path_factory.mktemp("finished"), scenes, limit=2))
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drives episodes in the test's own process, which is quicker."""
+
+    def drive(
+        tasks: list[tuple[ScenarioRef, Arm]], config: RunConfig
+    ) -> Iterator[tuple[tuple[ScenarioRef, Arm], Score]]:
+        for ref, arm in tasks:
+            yield (ref, arm), drive_episode(ref, arm, config)
+
+    monkeypatch.setattr(runner, "_drive_in_pool", drive)
+
+
+def _config(out: Path, scenes: Path, planner: str = "CoastPlanner", **changes: Any) -> RunConfig:
+    config = RunConfig(
+        out=out,
+        source=str(scenes),
+        planner=f"{FAULTY}:{planner}",
+        predictor=f"{FAULTY}:StillPredictor",
+    )
+    return replace(config, **changes)
+
+
+def _untimed_text(folder: RunFolder) -> str:
+    """``scenarios.jsonl`` without the columns that hold clock times."""
+    rows = [json.loads(line) for line in folder.rows.read_text().splitlines()]
+    return json.dumps([{key: v for key, v in row.items() if "_ms_" not in key} for row in rows])
+
+
+def _untimed(rows: list[Score]) -> list[Score]:
+    return [replace(row, cycle_ms_p50=None, cycle_ms_p99=None) for row in rows]
+
+
+def test_every_fault_of_a_worker_becomes_a_row_and_the_rest_goes_on(
+    scenes: Path, tmp_path: Path
+) -> None:
+    config = _config(tmp_path / "run", scenes, "FaultyPlanner", workers=2, episode_timeout=6.0)
+    folder = run(config)
+    rows = read_rows(folder.rows)
+    assert [(row.scenario, row.arm) for row in rows] == [
+        (ref.id, arm) for ref in find_scenarios(scenes) for arm in Arm
+    ]
+    # The other arm of each scenario, which shares the workers, is untouched.
+    assert {row.outcome for row in rows if row.arm is Arm.WITHOUT_DOS} == {Outcome.SUCCESS}
+    errors = [row.error for row in rows if row.arm is Arm.WITH_DOS]
+    assert errors[0] is None
+    assert "ValueError: no way to go" in str(errors[1])
+    assert errors[2:] == [
+        "the worker process ended with exit code 3",
+        "the worker process was killed by SIGSEGV",
+        "timed out after 6 s",
+        "SystemExit: enough",
+    ]
+    assert all(row.outcome is Outcome.PLANNER_FAILURE for row in rows if row.error is not None)
+    summary = read_json(folder.summary)
+    assert summary["with_dos"]["n"] == 6
+    assert summary["with_dos"]["planner_failure_rate"] == 5 / 6
+    assert summary["without_dos"]["success_rate"] == 1.0
+    assert summary["comparison"]["success"]["only_a"] == 5
+
+
+def test_rows_do_not_depend_on_the_number_of_workers(scenes: Path, tmp_path: Path) -> None:
+    # A planner that draws from the global generator: only seeding per episode makes this hold.
+    one = run(_config(tmp_path / "one", scenes, "RandomPlanner", workers=1, limit=3))
+    two = run(_config(tmp_path / "two", scenes, "RandomPlanner", workers=2, limit=3))
+    assert _untimed_text(one) == _untimed_text(two)
+    rows = read_rows(one.rows)
+    assert len({row.velocity for row in rows}) == 1  # Three equal scenes: nothing leaks along.
+    assert rows[0].velocity != pytest.approx(10.0, abs=1e-6)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_the_seed_reaches_the_planner(scenes: Path, tmp_path: Path) -> None:
+    velocities = {
+        read_rows(run(_config(tmp_path / name, scenes, "RandomPlanner", seed=seed, limit=1)).rows)[
+            0
+        ].velocity
+        for name, seed in (("a", 0), ("b", 1), ("c", 1))
+    }
+    assert len(velocities) == 2
+
+
+def test_the_arms_share_everything_but_the_sets(finished: RunFolder) -> None:
+    with_dos, without_dos = (
+        load_recording(finished.recording("ZAM_Test-0_1_T-1", arm)) for arm in Arm
+    )
+    assert (with_dos.set_semi_axes == 1.0).all()
+    assert (without_dos.set_semi_axes == 0.0).all()
+    assert (with_dos.states == without_dos.states).all()
+    assert (with_dos.set_centres == without_dos.set_centres).all()
+
+
+def test_run_json_says_what_was_run(scenes: Path, finished: RunFolder) -> None:
+    manifest = read_json(finished.manifest)
+    assert manifest["scenarios"] == ["ZAM_Test-0_1_T-1", "ZAM_Test-1_1_T-1"]
+    assert (manifest["planner"], manifest["predictor"]) == ("coast-v1", "still-v1")
+    assert manifest["config"]["arms"] == ["with_dos", "without_dos"]
+    assert {"python", "dosplan", "numpy"} <= manifest["versions"].keys()
+    assert manifest["machine"]["cpu_count"] == os.cpu_count()
+
+
+def test_no_file_of_a_run_names_its_own_folder(finished: RunFolder) -> None:
+    for file in finished.path.rglob("*.*"):
+        assert str(finished.path).encode() not in file.read_bytes(), file
+
+
+def test_a_finished_run_that_was_moved_is_not_driven_again(
+    scenes: Path, finished: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(finished.path, tmp_path / "moved")
+    monkeypatch.setattr(runner, "ProcessPool", None)  # Driving anything would raise.
+    calls: list[tuple[int, int]] = []
+    config = _config(tmp_path / "moved", scenes, limit=2, workers=2)
+    folder = run(config, lambda done, total: calls.append((done, total)))
+    for name in ("scenarios.jsonl", "run.json", "summary.json", "summary.md"):
+        assert (folder.path / name).read_bytes() == (finished.path / name).read_bytes()
+    assert calls == [(4, 4)]
+
+
+@pytest.mark.usefixtures("in_process")
+def test_one_arm_alone_has_no_comparison(scenes: Path, tmp_path: Path) -> None:
+    folder = run(_config(tmp_path / "run", scenes, limit=1, arms=(Arm.WITHOUT_DOS,)))
+    assert read_json(folder.summary).keys() == {"without_dos", "run"}
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"seed": 1}, "seed"),
+        ({"limit": 2}, "limit"),
+        ({"planner": f"{FAULTY}:SlowPlanner"}, "planner"),
+        ({"arms": (Arm.WITH_DOS,)}, "arms"),
+        ({"ranked": False}, "ranked"),
+    ],
+)
+def test_another_configuration_overwrites_nothing(
+    scenes: Path, tmp_path: Path, change: dict[str, Any], named: str
+) -> None:
+    config = _config(tmp_path / "run", scenes, limit=1)
+    runner._open_folder(RunFolder(config.out), runner._manifest(config, find_scenarios(scenes)[:1]))
+    before = RunFolder(config.out).manifest.read_bytes()
+    with pytest.raises(RunError, match=f"another {named}; nothing was changed"):
+        run(replace(config, **change))
+    assert RunFolder(config.out).manifest.read_bytes() == before
+    assert [path.name for path in config.out.iterdir()] == ["run.json"]
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(scenes: Path, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(RunError, match="is not empty and holds no run"):
+        run(_config(tmp_path, scenes))
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.usefixtures("in_process")
+def test_a_predictor_that_sees_the_future_is_refused_or_marked(
+    scenes: Path, tmp_path: Path
+) -> None:
+    config = _config(tmp_path / "run", scenes, limit=1, predictor=f"{FAULTY}:SeerPredictor")
+    with pytest.raises(RunError, match=r"seer-v1 is shown the future.*--unranked"):
+        run(config)
+    assert not config.out.exists()
+    folder = run(replace(config, ranked=False, arms=(Arm.WITH_DOS,)))
+    assert read_json(folder.summary)["run"]["ranked"] is False
+    assert "unranked" in folder.summary_text.read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"planner": "no-such"}, RegistryError),
+        ({"predictor": "no-such"}, RegistryError),
+        ({"source": "no-such-folder"}, ScenarioError),
+    ],
+)
+def test_bad_input_is_refused_before_a_folder_is_made(
+    scenes: Path, tmp_path: Path, change: dict[str, Any], error: type[Exception]
+) -> None:
+    config = _config(tmp_path / "run", scenes, **change)
+    with pytest.raises(error):
+        run(config)
+    assert not config.out.exists()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"workers": 0},
+        {"limit": 0},
+        {"replan_every": 0},
+        {"episode_timeout": 0.0},
+        {"seed": -1},
+        {"arms": ()},
+        {"arms": (Arm.WITH_DOS, Arm.WITH_DOS)},
+    ],
+)
+def test_a_config_without_sense_is_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(RunError, match=next(iter(change))):
+        RunConfig(out=Path("run"), **change)
+
+
+def test_an_episode_is_driven_scored_and_recorded(scenes: Path, tmp_path: Path) -> None:
+    ref = find_scenarios(scenes)[0]
+    row = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes))
+    assert (row.outcome, row.scenario) == (Outcome.SUCCESS, ref.id)
+    # The goal begins at x = 18 m, the ego's centre starts at 10 m with 10 m/s: 8 steps.
+    assert row.steps == pytest.approx(8, abs=1)
+    recording = load_recording(RunFolder(tmp_path).recording(ref.id, Arm.WITH_DOS))
+    assert len(recording.inputs) == row.steps
+    assert recording.set_ids.tolist() == [7] * row.steps
+
+
+def test_a_failed_plugin_is_made_anew(scenes: Path, tmp_path: Path) -> None:
+    config = _config(tmp_path, scenes, "LeakyPlanner")
+    first, broken, last = (
+        drive_episode(ref, Arm.WITH_DOS, config) for ref in find_scenarios(scenes)[:3]
+    )
+    assert first.outcome is last.outcome is Outcome.SUCCESS
+    assert "broken for good" in str(broken.error)
+
+
+@pytest.mark.parametrize(
+    ("planner", "message"),
+    [
+        ("UnbuildablePlanner", "cannot be built: OSError: the weights are missing"),
+        ("FaultyPlanner", "SystemExit: enough"),
+    ],
+)
+def test_what_a_plugin_raises_is_in_the_row(
+    scenes: Path, tmp_path: Path, planner: str, message: str
+) -> None:
+    row = drive_episode(find_scenarios(scenes)[5], Arm.WITH_DOS, _config(tmp_path, scenes, planner))
+    assert row.outcome is Outcome.PLANNER_FAILURE
+    assert message in str(row.error)
+
+
+def test_a_broken_scenario_file_is_a_row(scenes: Path, tmp_path: Path) -> None:
+    file = tmp_path / "ZAM_Broken-1_1_T-1.xml"
+    file.write_text("<commonRoad")
+    (ref,) = find_scenarios(file)
+    row = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes))
+    assert row.outcome is Outcome.PLANNER_FAILURE
+    assert "ScenarioError" in str(row.error)
+
+
+def test_an_episode_that_cannot_be_saved_ends_the_run(scenes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    out.mkdir()
+    config = _config(out, scenes, limit=1, arms=(Arm.WITH_DOS,))
+    runner._open_folder(RunFolder(out), runner._manifest(config, find_scenarios(scenes)[:1]))
+    (out / "episodes").write_text("a file where a folder should be")
+    with pytest.raises(FileError, match=r"cannot write .*ZAM_Test-0_1_T-1\.with_dos\.npz"):
+        run(config)
+
+
+def test_a_pool_that_gets_nothing_done_is_given_up(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = [(ref, Arm.WITH_DOS) for ref in find_scenarios(scenes)]
+    config = _config(tmp_path, scenes)
+    done = drive_episode(*tasks[0], config)
+    results = [
+        [(tasks[0], done)],
+        [],
+    ]  # The first pool breaks after one episode, the second at once.
+    monkeypatch.setattr(runner, "_drive_in_pool", lambda tasks, config: iter(results.pop(0)))
+    rows = runner._drive_all(tasks, config)
+    assert next(rows) is done
+    with pytest.raises(RunError, match="worker processes die"):
+        next(rows)
+
+
+def _start(out: Path, scenes: Path) -> subprocess.Popen[str]:
+    arguments = ["run", str(scenes), "--planner", f"{FAULTY}:SlowPlanner", "--workers", "1"]
+    arguments += ["--predictor", f"{FAULTY}:StillPredictor", "--limit", "3", "--out", str(out)]
+    command = [sys.executable, "-m", "dosplan", *arguments]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while not (out / "scenarios.jsonl").is_file() or not read_rows(out / "scenarios.jsonl"):
+        assert process.poll() is None, process.stderr and process.stderr.read()
+        assert time.monotonic() < deadline, "no row appeared"
+        time.sleep(0.05)
+    return process
+
+
+@pytest.mark.usefixtures("in_process")
+def test_a_run_that_is_killed_resumes_and_loses_nothing(scenes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    process = _start(out, scenes)
+    process.kill()
+    process.communicate()
+    kept = read_rows(out / "scenarios.jsonl")
+    assert 1 <= len(kept) < 6
+    with (out / "scenarios.jsonl").open("a") as file:
+        file.write('{"scenario": "ZAM_Test-2_1_T-1", "arm": "with_d')  # Cut off by the kill.
+
+    folder = run(_config(out, scenes, "SlowPlanner", limit=3))
+    rows = read_rows(folder.rows)
+    assert [(row.scenario, row.arm) for row in rows] == [
+        (ref.id, arm) for ref in find_scenarios(scenes)[:3] for arm in Arm
+    ]
+    assert rows[: len(kept)] == kept  # Their timings too: they were not driven again.
+    whole = run(_config(tmp_path / "whole", scenes, "CoastPlanner", limit=3))
+    assert _untimed(rows) == _untimed(read_rows(whole.rows))
+    assert not list(out.rglob(".*"))  # No half-written file is left.
+
+
+def test_ctrl_c_stops_quickly_and_says_how_to_go_on(scenes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    process = _start(out, scenes)
+    process.send_signal(signal.SIGINT)
+    _, complaint = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert complaint.splitlines()[-1] == (
+        f"dosplan: interrupted; the same command with --out {out} resumes"
+    )
+    assert "Traceback" not in complaint
+    assert not (out / "summary.json").exists()
+
+
+def test_workers_get_one_thread_each_and_the_environment_is_put_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with runner._environment({"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}):
+        assert os.environ["OMP_NUM_THREADS"] == os.environ["MKL_NUM_THREADS"] == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in os.environ

@@ -6,6 +6,19 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class Style:
+    """Accelerations of the reference speed; a plan may use more.
+
+    Attributes:
+        lateral: At which curves are taken, m/s2.
+        longitudinal: At which the speed changes, m/s2.
+    """
+
+    lateral: float
+    longitudinal: float
+
+
+@dataclass(frozen=True)
 class MpcConfig:
     """Settings of the optimal control problem and of what surrounds it.
 
@@ -23,8 +36,8 @@ class MpcConfig:
         set_penalty: Exact penalty on entering a set, per unit of normalised distance.
         road_penalty: Exact penalty on leaving the corridor, 1/m.
         road_margin: Distance that is kept from the corridor's edge, m.
-        curve_acceleration: Lateral acceleration at which curves are taken, m/s2.
-        hurried_curve_acceleration: The same where a deadline cannot be met otherwise, m/s2.
+        calm: How the reference speed is driven.
+        hurried: The same where a deadline cannot be met otherwise.
         grip: Share of the friction circle that a plan may use.
         resample_every: Cycles between two looks at the sampled alternatives.
         max_iterations: Iterations the solver is given.
@@ -43,10 +56,10 @@ class MpcConfig:
     acceleration_weight: float = 0.09
     jerk_weight: float = 0.01
     set_penalty: float = 200.0
-    road_penalty: float = 100.0
-    road_margin: float = 0.1
-    curve_acceleration: float = 4.0
-    hurried_curve_acceleration: float = 7.0
+    road_penalty: float = 200.0
+    road_margin: float = 0.12
+    calm: Style = Style(lateral=4.0, longitudinal=2.5)
+    hurried: Style = Style(lateral=7.0, longitudinal=5.0)
     grip: float = 0.9
     resample_every: int = 5
     max_iterations: int = 60

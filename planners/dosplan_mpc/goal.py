@@ -9,14 +9,14 @@ import shapely
 
 from dosplan.geometry import wrap_angle
 from dosplan.types import FloatArray, GoalState, PlanningTask
-from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.config import MpcConfig, Style
 from dosplan_mpc.reference import CURVATURE, HEADING, ReferencePath, X, Y
 
 _SAMPLING = 0.25  # m along the path.
 _EDGE = 0.2  # m that are kept from the goal region's edge.
 _OFFSETS = np.arange(-12.0, 12.01, 0.1)  # Lateral offsets that are searched for the region, m.
 _SPEEDS = np.concatenate([np.linspace(0.05, 12.0, 80), np.linspace(12.25, 45.0, 132)])  # m/s
-_ACCELERATION = 2.5  # m/s2, comfortable; plans may use more.
+_RUN_UP = 1.4  # The reference accelerates faster than it is reckoned with: the plan lags behind.
 _LATE = 0.3  # s of reserve before the deadline.
 
 
@@ -155,6 +155,7 @@ def cruise_for_goal(
     cruise: float,
     grid: FloatArray,
     limit: FloatArray,
+    acceleration: float,
 ) -> tuple[bool, float]:
     """Speed that brings the ego's centre into the region within its time window.
 
@@ -171,6 +172,7 @@ def cruise_for_goal(
         cruise: Speed that is wanted but for the goal, m/s.
         grid: (S,) arc lengths ahead, beginning at ``position``, m.
         limit: (S,) speed limit along the grid, m/s.
+        acceleration: Rate at which the speed is changed, m/s2.
 
     Returns:
         Whether the deadline can be met within the limit, and the speed, m/s.
@@ -184,7 +186,7 @@ def cruise_for_goal(
         return True, cruise
     # Speed over distance while going from v to c at a constant rate: v^2 +- 2 a s, up to c.
     middle = np.maximum(grid - grid[0] - 0.5 * (grid[1] - grid[0]), 0.0)
-    energy = 2.0 * _ACCELERATION * middle
+    energy = 2.0 * acceleration * middle
     faster = np.minimum(np.sqrt(velocity**2 + energy), _SPEEDS[:, None])
     slower = np.maximum(np.sqrt(np.maximum(velocity**2 - energy, 0.0)), _SPEEDS[:, None])
     speed = np.where(_SPEEDS[:, None] > velocity, faster, slower)
@@ -223,15 +225,15 @@ class SpeedProfile:
 
 
 def _speed_limit(
-    path: ReferencePath, window: GoalWindow | None, grid: FloatArray, acceleration: float
+    path: ReferencePath, window: GoalWindow | None, grid: FloatArray, style: Style
 ) -> FloatArray:
     """Speed that curves and a goal's velocity window allow, with the braking before them."""
-    limit = curve_speed(path, grid, acceleration)
+    limit = curve_speed(path, grid, style.lateral)
     if window is not None and window.velocity is not None:
         low, high = window.velocity
         cap = high - 0.15 * (high - low)
         limit = np.where(grid >= window.begin - 1.0, np.minimum(limit, cap), limit)
-    return braking_envelope(limit, grid, _ACCELERATION)
+    return braking_envelope(limit, grid, style.longitudinal)
 
 
 def plan_speed(
@@ -263,18 +265,17 @@ def plan_speed(
     reach = max(60.0, 45.0 * config.horizon * dt, (window.end - position + 5.0) if window else 0.0)
     grid = position + np.arange(0.0, reach, 1.0)
     horizon = config.horizon
-    calm, hurried = (
-        _speed_limit(path, window, grid, acceleration)
-        for acceleration in (config.curve_acceleration, config.hurried_curve_acceleration)
-    )
-    limit, target = calm, cruise
-    if window is not None:
-        met, target = cruise_for_goal(window, step, dt, position, velocity, cruise, grid, calm)
-        if not met:
-            limit = hurried
-            _, target = cruise_for_goal(window, step, dt, position, velocity, cruise, grid, limit)
+    for style in (config.calm, config.hurried):
+        limit, target = _speed_limit(path, window, grid, style), cruise
+        if window is None:
+            break
+        met, target = cruise_for_goal(
+            window, step, dt, position, velocity, cruise, grid, limit, style.longitudinal
+        )
+        if met:
+            break
     time = dt * np.arange(horizon + 1)
-    rate = _ACCELERATION * (1.4 if target > velocity else 1.0)
+    rate = style.longitudinal * (_RUN_UP if target > velocity else 1.0)
     ramp = velocity + np.clip(target - velocity, -rate * time, rate * time)
     s = position + np.concatenate([[0.0], np.cumsum(0.5 * (ramp[1:] + ramp[:-1]) * dt)])
     reference = np.minimum(ramp, np.interp(s, grid, limit))
@@ -282,7 +283,7 @@ def plan_speed(
         low = window.velocity[0] + 0.15 * (window.velocity[1] - window.velocity[0])
         run_up = np.maximum(window.begin - s, 0.0)
         reference = np.maximum(
-            reference, np.sqrt(np.maximum(low**2 - 2.0 * _ACCELERATION * run_up, 0.0))
+            reference, np.sqrt(np.maximum(low**2 - 2.0 * style.longitudinal * run_up, 0.0))
         )
     shape = np.ones(horizon + 1)
     if window is None:

@@ -16,8 +16,8 @@ Constraints at stages 1 .. N, with slacks that are inputs of the stage:
   ``z = M_j (p_i - c_j)``: the disc's centre stays out of a superellipse (see ``obstacles``).
   Every slot has a slack of its own: with one slack for all, a set that cannot be left would
   loosen the others. Penalty: ``set_penalty * s_j`` (exact) plus a small square.
-* Road: at the rear bumper, the middle and the front bumper, both sides of the ego stay between
-  the corridor's edges: ``left - (e + w) >= -r`` and ``(e - w) - right >= -r``, slack r.
+* Road: at five stations from the rear to the front bumper, both sides of the ego stay between the
+  corridor's edges: ``left - (e + w) >= -r`` and ``(e - w) - right >= -r``, slack r.
 * Friction circle ``a^2 + (v psi')^2 <= (grip a_max)^2`` and engine power ``a v <= a_max v_s`` are
   hard, and so are the bounds of steering, steering rate and velocity.
 
@@ -43,7 +43,7 @@ from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
 
 STATE_SIZE = 6
-STATIONS = 3  # Rear bumper, middle and front bumper.
+STATIONS = 5  # Evenly from the rear to the front bumper; in a bend the sides bulge between.
 STATION_SIZE = 6  # x, y, psi, kappa of the path beside the station; right and left edge.
 SLOT_SIZE = 6  # Centre x, y and the rows of M of a forbidden set.
 REFERENCE_SIZE = 6  # x, y, psi, kappa of the path; reference velocity and offset.
@@ -123,16 +123,16 @@ def disc_offsets(vehicle: VehicleParameters, count: int) -> tuple[FloatArray, fl
 
 
 def station_offsets(vehicle: VehicleParameters) -> FloatArray:
-    """Offsets of the three stations ahead of the rear axle, m.
+    """Offsets of the stations ahead of the rear axle, m; the middle one is the centre.
 
     Args:
         vehicle: The ego.
 
     Returns:
-        (3,) m.
+        (STATIONS,) m.
     """
     half = vehicle.length / 2.0
-    return vehicle.rear_to_centre + np.array([-half, 0.0, half])
+    return np.asarray(vehicle.rear_to_centre + np.linspace(-half, half, STATIONS))
 
 
 class MpcProblem:

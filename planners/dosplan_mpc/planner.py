@@ -253,8 +253,9 @@ class MpcPlanner(Planner):
         stations = beside[..., [X, Y, HEADING, CURVATURE, RIGHT, LEFT]]
         # A goal narrows the way of the ego's centre; the middle station's edges are of its sides.
         half = self._vehicle.width / 2.0 + self.config.road_margin
-        stations[:, 1, 4] = np.maximum(stations[:, 1, 4], profile.right - half)
-        stations[:, 1, 5] = np.minimum(stations[:, 1, 5], profile.left + half)
+        middle = stations[:, STATIONS // 2]
+        middle[:, 4] = np.maximum(middle[:, 4], profile.right - half)
+        middle[:, 5] = np.minimum(middle[:, 5], profile.left + half)
         stages[:, REFERENCE_SIZE:STAGE_HEAD] = stations.reshape(-1, STATIONS * STATION_SIZE)
         slots = np.tile(np.array(EMPTY_SLOT), (self.config.horizon + 1, self.config.slots, 1))
         slots[1:, : len(chosen.ids)] = chosen.slots.transpose(1, 0, 2)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dosplan.types import (
+    EGO_VELOCITY,
     USER_HEADING,
     USER_VELOCITY,
     USER_X,
@@ -81,6 +82,6 @@ def look_around(
         leader = int(np.argmin(np.where(front, distance, np.inf)))
         cruise = max(cruise, float(speed[leader]))
         gap = float(distance[leader] - 0.5 * (observation.size[leader, 0] + vehicle.length))
-        wanted = _STANDSTILL_GAP + _HEADWAY * float(observation.ego[3])
+        wanted = _STANDSTILL_GAP + _HEADWAY * float(observation.ego[EGO_VELOCITY])
         cruise = min(cruise, max(float(speed[leader]) + _GAP_GAIN * (gap - wanted), 0.0))
     return Traffic(cruise, behind)

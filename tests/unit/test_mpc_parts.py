@@ -22,15 +22,23 @@ from dosplan_mpc.nlp import (
     problem,
     station_offsets,
 )
-from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, superellipse_axes
+from dosplan_mpc.obstacles import (
+    ForbiddenSets,
+    forbidden_sets,
+    release,
+    stretch_back,
+    superellipse_axes,
+)
 from dosplan_mpc.reference import CURVATURE, HEADING, ReferencePath
 from dosplan_mpc.sampler import Sampler
+from dosplan_mpc.traffic import Traffic, look_around
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import box
 
 from dosplan.geometry import rectangle_corners
-from dosplan.scenes import straight_route, straight_scenario
+from dosplan.scenes import steady_tracks, straight_route, straight_scenario
+from dosplan.simulation import observe
 from dosplan.types import FloatArray, GoalState, Occupancy, PlanningTask, Route, SolveStatus
 from dosplan.vehicle import VehicleParameters
 
@@ -231,7 +239,7 @@ def test_cruise_meets_the_window(
     (window,) = locate_goals(task, ReferencePath(task.route))
     grid = 20.0 + np.arange(0.0, 120.0, 1.0)
     limit = np.full_like(grid, 40.0)
-    met, speed = cruise_for_goal(window, 0, DT, 20.0, 10.0, cruise, grid, limit)
+    met, speed = cruise_for_goal(window, 0, DT, 20.0, 10.0, cruise, grid, limit, 2.5)
     assert met
     assert low <= speed <= high
 
@@ -242,6 +250,37 @@ def test_profile_slows_down_for_a_curve() -> None:
     # sqrt(4 m/s2 * 10 m) = 6.3 m/s
     assert profile.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
     assert np.all(profile.velocity >= 0.0)
+
+
+def seen(users: list[list[float]], velocity: float = 10.0) -> Traffic:
+    """What the ego at x = 1.42 m sees of cars on a straight road."""
+    scenario = straight_scenario(steady_tracks(users), velocity=velocity)
+    observation = observe(scenario, 0, scenario.task.start[None], 1)
+    path = ReferencePath(scenario.task.route)
+    position = 20.0 + VEHICLE.rear_to_centre
+    return look_around(observation, path, VEHICLE, position, 0.0, velocity)
+
+
+def test_traffic_is_sorted_into_leader_and_followers() -> None:
+    free = seen([])
+    assert free.cruise == 10.0
+    # The follower at 14 m/s sets the pace; who comes the other way does not.
+    behind = seen([[-9.1, 0.0, 0.0, 14.0], [60.0, 3.5, 0.0, 2.0], [50.0, 0.0, np.pi, 9.0]])
+    assert behind.cruise == 14.0
+    np.testing.assert_array_equal(behind.followers, [True, False, False])
+    # Gap 16 - 4.5 m; wanted 2 + 0.8 * 10 m: 6 + 0.5 * (11.5 - 10).
+    leader = seen([[17.42, 0.0, 0.0, 6.0]])
+    assert leader.cruise == pytest.approx(6.75, abs=0.01)
+    assert not leader.followers.any()
+
+
+def test_a_stretched_set_keeps_its_front_and_reaches_back() -> None:
+    sets = forbidden_sets(occupancy_at(0.0, 0.0), 30, 1.0, np.array([0]))
+    longer = stretch_back(sets, np.array([True]), 10.0)
+    front = 1.0 / sets.slots[0, 0, 2]
+    for x, inside in ((front - 0.01, True), (front + 0.01, False), (-front - 9.9, True)):
+        assert (longer.distance(np.full((30, 1, 2), [x, 0.0])).max() < 1.0) == inside
+    np.testing.assert_array_equal(stretch_back(sets, np.array([False]), 10.0).slots, sets.slots)
 
 
 # Sampler

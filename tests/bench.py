@@ -1,0 +1,248 @@
+"""Times of a planning cycle and of its parts, and the ratios between them; `make bench` runs it.
+
+Absolute times of one machine are no result for another, and a machine that is shared moves them
+by the minute. Hence one process on one core, drives that are compared follow one another, and
+ratios are formed within a scenario, of medians and of processor time, which waiting for a busy
+core does not count in. One drive is repeated at the end of its scenario: how far the ratio
+``again`` is from one says how far the other ratios can be trusted.
+"""
+
+from __future__ import annotations
+
+import os
+
+# Numerical libraries read these once, when they are loaded.
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.nlp import MpcProblem
+from rich.console import Console
+
+from dosplan.api import Planner, Predictor
+from dosplan.files import write_json
+from dosplan.provenance import describe_environment
+from dosplan.registry import create_planner, create_predictor
+from dosplan.report.tables import table
+from dosplan.scenario import find_scenarios, load_scenario
+from dosplan.scenes import LANE_WIDTH, steady_tracks, straight_scenario
+from dosplan.scoring import score
+from dosplan.simulation import run_episode
+from dosplan.types import STEP_SECONDS, Arm, EpisodeEnd, FloatArray, Scenario
+from dosplan.vehicle import VehicleParameters
+
+PERCENTILES: Final = (50, 95, 99)
+ROAD_USERS: Final = (5, 20, 50, 200)
+ROUNDS: Final = 2  # Drives for each number of road users.
+REPEATS: Final = 3  # Of everything else that has no cycles.
+VEHICLE: Final = VehicleParameters()
+
+# ``cycle`` is predict + plan, ``plan_rest`` the plan but for the solver (sampling, references,
+# sets), ``episode_rest`` what an episode spends outside its cycles, ``cpu`` processor time of
+# the episode per cycle.
+CYCLE_PARTS: Final = ("predict", "solver", "plan_rest", "cycle")
+PARTS: Final = (*CYCLE_PARTS, "plan", "cpu", "episode", "episode_rest", "score")
+Times = dict[str, FloatArray]  # ms for each part: one value per cycle, or one of the episode.
+Figures = dict[str, float]
+
+
+def main() -> None:
+    """Measures, prints and writes."""
+    options = _options()
+    planner, idm = create_planner(options.planner, 0), create_planner("idm", 0)
+    predictor = create_predictor(options.predictor, 0)
+    drives = {
+        "with_dos": (planner, Arm.WITH_DOS),
+        "without_dos": (planner, Arm.WITHOUT_DOS),
+        "idm": (idm, Arm.WITH_DOS),
+        "again": (planner, Arm.WITH_DOS),
+    }
+    refs = find_scenarios("suite")[: options.scenarios]
+    # What is imported or built at the first use is not what a cycle costs.
+    load_scenario(refs[0])
+    for driver in (planner, idm):
+        drive(steady_flow(5), driver, predictor, Arm.WITH_DOS)
+
+    loads: list[float] = []
+    scenarios: list[dict[str, Times]] = []
+    for ref in refs:
+        loads += [elapsed(partial(load_scenario, ref)) for _ in range(REPEATS)]
+        scenario = load_scenario(ref)
+        scenarios.append({k: drive(scenario, p, predictor, arm) for k, (p, arm) in drives.items()})
+    pooled = {name: pool([times[name] for times in scenarios]) for name in drives}
+    figures = {
+        "planner": planner.name,
+        "predictor": predictor.name,
+        "scenarios": [ref.id for ref in refs],
+        "times_ms": {k: {part: spread(v[part]) for part in PARTS} for k, v in pooled.items()},
+        "ratios": find_ratios(scenarios),
+        "road_users": measure_growth(planner, predictor),
+        "startup_ms": {**measure_startup(), "load_scenario": spread(loads)},
+        "environment": describe_environment(),
+    }
+    show(figures)
+    if options.json is not None:
+        write_json(options.json, figures)
+
+
+def drive(scenario: Scenario, planner: Planner, predictor: Predictor, arm: Arm) -> Times:
+    """Drives and scores one episode."""
+    started, cpu_started = time.perf_counter(), time.process_time()
+    episode = run_episode(scenario, planner, predictor, arm, vehicle=VEHICLE)
+    wall, cpu = time.perf_counter() - started, time.process_time() - cpu_started
+    if episode.end is EpisodeEnd.PLANNER_FAILURE:
+        raise SystemExit(f"bench: {scenario.id}, {arm}: {episode.error}")
+    solver = np.array([plan.report.seconds for plan in episode.plans])
+    cycle = episode.predict_seconds + episode.plan_seconds
+    seconds = {
+        "predict": episode.predict_seconds,
+        "solver": solver,
+        "plan_rest": episode.plan_seconds - solver,
+        "cycle": cycle,
+        "plan": episode.plan_seconds,
+        "cpu": np.array([cpu / len(cycle)]),
+        "episode": np.array([wall]),
+        "episode_rest": np.array([wall - cycle.sum()]),
+    }
+    times = {part: 1e3 * values for part, values in seconds.items()}
+    times["score"] = np.array([elapsed(partial(score, scenario, episode, VEHICLE))])
+    return times
+
+
+def find_ratios(scenarios: Sequence[dict[str, Times]]) -> dict[str, Figures]:
+    """Ratios within each scenario: their median, lowest and highest."""
+    pairs = {
+        "with_dos / without_dos": ("with_dos", "without_dos"),
+        "with_dos / idm": ("with_dos", "idm"),
+        "again / with_dos": ("again", "with_dos"),
+    }
+    found = {
+        f"{part}: {name}": [np.median(s[a][part]) / np.median(s[b][part]) for s in scenarios]
+        for part in ("cycle", "cpu")
+        for name, (a, b) in pairs.items()
+    }
+    found |= {
+        f"solver / cycle: {a}": [s[a]["solver"].sum() / s[a]["cycle"].sum() for s in scenarios]
+        for a in ("with_dos", "without_dos")
+    }
+    names = ("median", "lowest", "highest")
+    return {
+        ratio: dict(zip(names, np.percentile(values, (50, 0, 100)).tolist(), strict=True))
+        for ratio, values in found.items()
+    }
+
+
+def measure_growth(planner: Planner, predictor: Predictor) -> dict[str, Figures]:
+    """Medians, with DOS, for more and more road users, and the cycle's ratio to the fewest."""
+    scenes = {n: steady_flow(n) for n in ROAD_USERS}
+    rounds = [
+        {n: drive(scene, planner, predictor, Arm.WITH_DOS) for n, scene in scenes.items()}
+        for _ in range(ROUNDS)
+    ]
+    pooled = {n: pool([drives[n] for drives in rounds]) for n in ROAD_USERS}
+    found = {n: {k: float(np.median(pooled[n][k])) for k in CYCLE_PARTS} for n in ROAD_USERS}
+    fewest = found[ROAD_USERS[0]]["cycle"]
+    return {str(n): row | {"cycle_ratio": row["cycle"] / fewest} for n, row in found.items()}
+
+
+def steady_flow(n: int) -> Scenario:
+    """The ego amid the ``n`` nearest cars of thirteen lanes of traffic that flows at 7 to 10 m/s.
+
+    More cars are cars further away: what grows is their number, not the tightness of the scene.
+    """
+    start_step = 40
+    place, lane = (grid.ravel() for grid in np.meshgrid(np.arange(-12, 13), np.arange(-6, 7)))
+    x, y = 25.0 * place + 7.0 * lane, LANE_WIDTH * lane
+    nearest = np.argsort(np.hypot(x, y), kind="stable")[1 : n + 1]  # The first is the ego's own.
+    velocity = 10.0 - 0.5 * np.abs(lane)
+    x = x - start_step * STEP_SECONDS * velocity  # Tracks are given at step 0.
+    first = np.column_stack([x, y, np.zeros_like(x), velocity])[nearest]
+    return straight_scenario(steady_tracks(first), start_step=start_step, final_step=65)
+
+
+def measure_startup() -> dict[str, Figures]:
+    """Times of what is paid before the first cycle, ms."""
+    actions: dict[str, Callable[[], object]] = {
+        "python": partial(_start, "-c", "pass"),
+        "dosplan_help": partial(_start, "-m", "dosplan", "--help"),
+        "build_mpc": partial(MpcProblem, MpcConfig(), VEHICLE, STEP_SECONDS),
+    }
+    times = [{name: elapsed(action) for name, action in actions.items()} for _ in range(REPEATS)]
+    return {name: spread([found[name] for found in times]) for name in actions}
+
+
+def _start(*arguments: str) -> None:
+    subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
+
+
+def elapsed(action: Callable[[], object]) -> float:
+    """Times an action, ms."""
+    started = time.perf_counter()
+    action()
+    return 1e3 * (time.perf_counter() - started)
+
+
+def pool(drives: Sequence[Times]) -> Times:
+    """Puts the times of several drives together."""
+    return {part: np.concatenate([times[part] for times in drives]) for part in PARTS}
+
+
+def spread(values: Sequence[float] | FloatArray) -> Figures:
+    """Number and percentiles of times."""
+    found = np.percentile(values, PERCENTILES).tolist()
+    return {"n": len(values)} | {f"p{p}": v for p, v in zip(PERCENTILES, found, strict=True)}
+
+
+def show(figures: dict[str, Any]) -> None:
+    """Prints the tables."""
+    percentiles = [f"p{p}" for p in PERCENTILES]
+    drives = ("with_dos", "without_dos", "idm")
+    columns = [key.replace("_", "\n") for key in figures["road_users"][str(ROAD_USERS[0])]]
+
+    def triple(found: Figures) -> str:
+        return " ".join(f"{_number(found[p]):>5}" for p in percentiles)
+
+    def rows(found: dict[str, Figures]) -> list[list[str]]:
+        return [[name, *map(_number, row.values())] for name, row in found.items()]
+
+    under = " ".join(f"{p:>5}" for p in percentiles)
+    times = [[part, *(triple(figures["times_ms"][d][part]) for d in drives)] for part in PARTS]
+    for built in (
+        f"{figures['planner']} with {figures['predictor']}, {len(figures['scenarios'])} scenarios",
+        table(["ms", *(f"{name}\n{under}" for name in drives)], times),
+        table(["ratio within a scenario", "median", "lowest", "highest"], rows(figures["ratios"])),
+        table(["road\nusers", *columns], rows(figures["road_users"])),
+        table(["before the first cycle, ms", "n", *percentiles], rows(figures["startup_ms"])),
+    ):
+        Console().print(built, highlight=False, markup=False)
+
+
+def _number(value: float) -> str:  # Three figures are more than a time is good for.
+    if isinstance(value, int) or value >= 100.0:
+        return f"{value:.0f}"
+    return f"{value:.2f}" if value < 10.0 else f"{value:.1f}"
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Measures times of dosplan and their ratios.")
+    parser.add_argument("--scenarios", type=int, default=4, metavar="N", help="of the suite")
+    parser.add_argument("--planner", default="mpc", help="as for `dosplan run`")
+    parser.add_argument("--predictor", default="growing-circle", help="as for `dosplan run`")
+    parser.add_argument("--json", type=Path, metavar="PATH", help="write the same figures there")
+    options = parser.parse_args()
+    if options.scenarios < 1:
+        parser.error("--scenarios must be 1 or more")
+    return options
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""The timing script: that it runs, and that its figures fit together. Times themselves vary."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dosplan.files import read_json
+
+BENCH = Path(__file__).parents[1] / "bench.py"
+
+
+def test_writes_figures_that_fit_together(tmp_path: Path) -> None:
+    out = tmp_path / "bench.json"
+    options = ["--scenarios", "1", "--planner", "brake", "--json", str(out)]
+    done = subprocess.run(
+        [sys.executable, str(BENCH), *options], capture_output=True, text=True, check=True
+    )
+    figures = read_json(out)
+
+    assert done.stdout.startswith(f"{figures['planner']} with {figures['predictor']}, ")
+    for times in figures["times_ms"].values():
+        for part in times.values():
+            assert 0.0 <= part["p50"] <= part["p95"] <= part["p99"]
+        assert times["cycle"]["n"] == times["plan"]["n"] > times["episode"]["n"] == 1
+        assert times["cycle"]["p50"] >= times["plan"]["p50"]
+        assert times["episode"]["p50"] > times["episode_rest"]["p50"]
+        assert times["solver"]["p99"] == 0.0  # Neither brake nor idm has a solver.
+
+    medians = {name: times["cycle"]["p50"] for name, times in figures["times_ms"].items()}
+    ratio = figures["ratios"]["cycle: with_dos / without_dos"]
+    assert ratio["lowest"] == ratio["median"] == ratio["highest"]  # There is one scenario.
+    assert ratio["median"] == pytest.approx(medians["with_dos"] / medians["without_dos"])
+    assert figures["ratios"]["solver / cycle: with_dos"]["highest"] == 0.0
+
+    growth = figures["road_users"]
+    assert list(growth) == ["5", "20", "50", "200"]
+    assert growth["5"]["cycle_ratio"] == 1.0
+    assert growth["200"]["predict"] > growth["5"]["predict"]  # Forty times the road users.
+    assert figures["startup_ms"]["dosplan_help"]["p50"] > figures["startup_ms"]["python"]["p50"]

@@ -1,16 +1,17 @@
 """What a plug-in implements: one method of ``Planner`` or of ``Predictor``.
 
 The public methods ``reset``, ``plan`` and ``predict`` belong to the benchmark: they check what a
-plug-in returns and name the plug-in in every complaint, so that no plug-in can forget to. A
-plug-in fills ``compute_plan`` or ``compute_occupancy`` and, where it prepares something per
-episode, ``prepare``.
+plug-in returns and name the plug-in in every complaint, so that no plug-in can forget to. A class
+that overrides one of them is refused. A plug-in fills ``compute_plan`` or ``compute_occupancy``
+and, where it prepares something per episode, ``prepare``.
 """
 
 from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from typing import ClassVar, final
+from collections.abc import Mapping
+from typing import Any, ClassVar, final
 
 import numpy as np
 
@@ -24,6 +25,16 @@ class PluginError(RuntimeError):
     """A plug-in broke its contract; the message names it."""
 
 
+def _refuse_overrides(plugin: type, base: type, instead: Mapping[str, str]) -> None:
+    """Raises TypeError where a plug-in overrides what belongs to the benchmark."""
+    for method, hook in instead.items():
+        if getattr(plugin, method) is not getattr(base, method):
+            raise TypeError(
+                f"{plugin.__name__} overrides {base.__name__}.{method}, which belongs to the "
+                f"benchmark; override {hook} instead"
+            )
+
+
 class Planner(ABC):
     """Drives the ego.
 
@@ -34,6 +45,10 @@ class Planner(ABC):
     """
 
     name: ClassVar[str]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        _refuse_overrides(cls, Planner, {"reset": "prepare", "plan": "compute_plan"})
 
     def __init__(self, *, seed: int = 0) -> None:
         """Keeps the seed; every random choice of a planner must come from it.
@@ -119,6 +134,10 @@ class Predictor(ABC):
     """
 
     name: ClassVar[str]
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        _refuse_overrides(cls, Predictor, {"reset": "prepare", "predict": "compute_occupancy"})
 
     def __init__(self, *, seed: int = 0, horizon: int = 40) -> None:
         """Keeps the seed and the horizon.

@@ -8,8 +8,10 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -29,7 +31,7 @@ exit codes:
   0    everything was done: every episode is scored, every check passed
   1    some episodes are planner failures, or a check failed
   2    wrong usage or bad input; one line on stderr says what and where
-  130  interrupted; the same command with the same --out resumes
+  130  interrupted (Ctrl-C or SIGTERM); for a run, the same command with the same --out resumes
 """
 
 _RUN_EXAMPLES: Final = """\
@@ -61,7 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else list(arguments)
     options = _parser().parse_args(given)
     try:
-        code: int = options.command(options)
+        with _terminated_as_interrupted():
+            code: int = options.command(options)
     except KeyboardInterrupt:
         print("dosplan: interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -71,6 +74,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Stops in the same orderly way on SIGTERM as on Ctrl-C, workers included."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _user_errors() -> tuple[type[Exception], ...]:
     from dosplan.compare import CompareError
     from dosplan.files import FileError
@@ -78,7 +91,8 @@ def _user_errors() -> tuple[type[Exception], ...]:
     from dosplan.runner import RunError
     from dosplan.scenario import ScenarioError
 
-    return CompareError, FileError, RegistryError, RunError, ScenarioError
+    # Plug-ins never raise as far as here, so that an OSError is about a path that was given.
+    return CompareError, FileError, OSError, RegistryError, RunError, ScenarioError
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -213,7 +227,8 @@ def _add_compare(commands: Any) -> None:
 def _run(options: argparse.Namespace) -> int:
     from dosplan.files import read_json
     from dosplan.report.progress import show_progress
-    from dosplan.report.tables import summary_tables
+    from dosplan.report.tables import error_lines, summary_tables
+    from dosplan.results import read_rows
     from dosplan.runner import RunConfig, run
     from dosplan.types import Arm
 
@@ -239,6 +254,8 @@ def _run(options: argparse.Namespace) -> int:
         return INTERRUPTED
     summary = read_json(folder.summary)
     _show([summary_tables(summary), f"results in {folder.path}"], summary, options.json)
+    for line in error_lines(read_rows(folder.rows)):
+        print(line, file=sys.stderr)
     failures = any(summary[arm.value]["planner_failure_rate"] > 0 for arm in config.arms)
     return FAILED if failures else OK
 
@@ -334,8 +351,16 @@ def _compare(options: argparse.Namespace) -> int:
 def _show(parts: Sequence[RenderableType], figures: Any, json_path: Path | None) -> None:
     """Prints what a command found, and writes the same figures as JSON where asked to."""
     console = _console()
-    for part in parts:
-        console.print(part, highlight=False, markup=False)
+    try:
+        for part in parts:
+            console.print(part, highlight=False, markup=False)
+        sys.stdout.flush()
+    except OSError as error:
+        from dosplan.files import FileError
+
+        # What could not be written is still buffered, and leaving would try to write it again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise FileError(f"cannot write to standard output: {error.strerror}") from error
     if json_path is not None:
         from dosplan.files import write_json
 

@@ -38,6 +38,7 @@ class Difference:
     """A figure on both sides, and its mean paired difference.
 
     Attributes:
+        n: Number of scenarios it is over.
         a: Mean over the scenarios of side A.
         b: Mean over the same scenarios of side B.
         difference: ``b - a``.
@@ -48,6 +49,7 @@ class Difference:
         p: Two-sided p of the exact McNemar test; None for velocity.
     """
 
+    n: int
     a: float
     b: float
     difference: float
@@ -84,7 +86,7 @@ class Comparison:
         success: Share of ``success``.
         safe: Share without collision and within bounds.
         collision: Share of ``collision``.
-        at_fault_collision: Share of collisions the ego is to blame for.
+        at_fault_collision: Share with a collision that the ego is to blame for.
         velocity: Mean velocity, m/s, over the scenarios in which both sides drove a step; None
             where there is none.
         changes: Scenarios whose outcome differs, in the run's order.
@@ -211,6 +213,7 @@ def _compare_means(a: FloatArray, b: FloatArray) -> Difference:
     picks = np.random.default_rng(_SEED).integers(len(a), size=(RESAMPLES, len(a)))
     low, high = np.percentile(difference[picks].mean(axis=1), [2.5, 97.5])
     return Difference(
+        n=len(a),
         a=float(a.mean()),
         b=float(b.mean()),
         difference=float(difference.mean()),

@@ -9,16 +9,14 @@ from __future__ import annotations
 
 import copy
 import re
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dosplan.api import OraclePredictor, Planner, Predictor
-from dosplan.registry import one_line
+from dosplan.registry import failure_place, one_line
 from dosplan.scenes import busy_scenario, crowded_scenario, growing_sets, straight_scenario
 from dosplan.simulation import observe
 from dosplan.types import (
@@ -192,23 +190,22 @@ def _report(
     plugin = getattr(factory, "name", getattr(factory, "__name__", repr(factory)))
     results: list[Check] = []
     for name, check in first:
-        results.append(_check(name, check))
+        results.append(_check(name, check, factory))
         if not results[-1].ok:
             break
     else:
-        results.extend(_check(name, check) for name, check in then)
+        results.extend(_check(name, check, factory) for name, check in then)
     return Report(str(plugin), tuple(results))
 
 
-def _check(name: str, check: Callable[[], object]) -> Check:
+def _check(name: str, check: Callable[[], object], factory: Callable[..., Any]) -> Check:
     try:
         check()
     except _BrokenError as broken:
         return Check(name, False, str(broken))
-    except Exception as error:
-        place = traceback.extract_tb(error.__traceback__)[-1]
+    except (Exception, SystemExit) as error:
         advice = "; copy the array before you write to it" if "read-only" in str(error) else ""
-        message = f"raised {one_line(error)} ({Path(place.filename).name}:{place.lineno}){advice}"
+        message = f"raised {one_line(error)} ({failure_place(error, factory)}){advice}"
         return Check(name, False, message)
     return Check(name, True)
 

@@ -15,7 +15,7 @@ import shapely
 
 from dosplan.bounds import outside
 from dosplan.collision import Contact, shape_at
-from dosplan.geometry import rectangle_corners, wrap_angle
+from dosplan.geometry import lanelet_polygon, rectangle_corners, wrap_angle
 from dosplan.types import (
     USER_HEADING,
     USER_VELOCITY,
@@ -104,9 +104,8 @@ def in_several_lanes(pose: FloatArray, size: tuple[float, float], road_map: Road
         True where the corners are in more than one lane.
     """
     corners = rectangle_corners(pose, size)
-    areas = shapely.make_valid(
-        [shapely.Polygon(np.concatenate([x.left, x.right[::-1]])) for x in road_map.lanelets]
-    )
+    areas = np.array([lanelet_polygon(x.left, x.right) for x in road_map.lanelets])
+    shapely.prepare(areas)
     inside = shapely.intersects(areas[:, None], shapely.points(corners))
     near = shapely.intersects(areas, shapely.Polygon(corners))
     held = {

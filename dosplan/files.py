@@ -81,11 +81,13 @@ def read_json(path: Path) -> Any:
         Its value.
 
     Raises:
-        FileError: It is missing or is not JSON.
+        FileError: It is missing, cannot be read or is not JSON.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise FileError(f"{path} is missing") from None
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from None
+    except ValueError as error:
         raise FileError(f"{path} is not JSON: {error}") from None

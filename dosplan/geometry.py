@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+import shapely
+from shapely.geometry import MultiPolygon, Polygon
 
 from dosplan.types import FloatArray
 
@@ -50,3 +52,49 @@ def rectangle_corners(poses: FloatArray, size: npt.ArrayLike) -> FloatArray:
         (..., 4, 2) m.
     """
     return to_world(_UNIT_CORNERS * np.asarray(size, dtype=np.float64)[..., None, :], poses)
+
+
+def lanelet_cells(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Quadrilaterals between consecutive pairs of a lanelet's bound points.
+
+    Args:
+        left: (P, 2) left bound, m.
+        right: (P, 2) right bound, m, point by point beside ``left``.
+
+    Returns:
+        (P - 1, 4, 2) corners: left, next left, next right, right, m.
+    """
+    return np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)
+
+
+def lanelet_polygon(left: FloatArray, right: FloatArray) -> Polygon | MultiPolygon:
+    """Area of a lanelet.
+
+    A lanelet whose bounds cross or fold back has no valid outline; its area is then the union of
+    the convex hulls of its cells.
+
+    Args:
+        left: (P, 2) left bound, m.
+        right: (P, 2) right bound, m, point by point beside ``left``.
+
+    Returns:
+        A valid polygon, m.
+    """
+    outline = Polygon(np.concatenate([left, right[::-1]]))
+    if outline.is_valid and outline.area > 0:
+        return outline
+    cells = shapely.polygons(lanelet_cells(left, right))
+    return areas(shapely.union_all(shapely.convex_hull(cells)))
+
+
+def areas(shape: shapely.Geometry) -> Polygon | MultiPolygon:
+    """The polygons of a geometry, without the points and lines that overlays leave behind.
+
+    Args:
+        shape: Any geometry.
+
+    Returns:
+        One polygon, or several as a MultiPolygon (empty where there is none).
+    """
+    parts = [p for p in shapely.get_parts(shape) if isinstance(p, Polygon) and not p.is_empty]
+    return parts[0] if len(parts) == 1 else MultiPolygon(parts)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from collections.abc import Iterable
+from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
@@ -45,6 +47,26 @@ def describe_environment() -> dict[str, Any]:
             "cpu_count": os.cpu_count(),
         },
     }
+
+
+def content_digest(paths: Iterable[Path]) -> str:
+    """Fingerprints what files hold, whatever they are called.
+
+    Args:
+        paths: The files, in order.
+
+    Returns:
+        A SHA-256 over the size and SHA-256 of each; one that cannot be read has neither.
+    """
+    total = sha256()
+    for path in paths:
+        try:
+            data = path.read_bytes()
+        except OSError:
+            total.update(b"unreadable\n")
+        else:
+            total.update(f"{len(data)} {sha256(data).hexdigest()}\n".encode())
+    return total.hexdigest()
 
 
 def git_revision(source: Path) -> str | None:

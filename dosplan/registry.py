@@ -10,6 +10,7 @@ import importlib
 import importlib.util
 import inspect
 import sys
+import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -144,6 +145,38 @@ def one_line(error: BaseException) -> str:
         ``Type: message``, line breaks turned into blanks.
     """
     return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def failure_place(error: BaseException, plugin: object) -> str:
+    """Names the place of a failure that helps a plug-in's author most.
+
+    Args:
+        error: What was raised.
+        plugin: The plug-in's class, or the function that makes the plug-in.
+
+    Returns:
+        ``file:line`` of the innermost call in the plug-in's own file, or else of the innermost.
+    """
+    frames = traceback.extract_tb(error.__traceback__)
+    try:
+        own = inspect.getsourcefile(plugin)  # type: ignore[arg-type]
+    except TypeError:  # Not made of Python source.
+        own = None
+    place = next((frame for frame in reversed(frames) if frame.filename == own), frames[-1])
+    return f"{Path(place.filename).name}:{place.lineno}"
+
+
+def source_files(spec: str) -> list[Path]:
+    """Names the file of a plug-in that is given by one.
+
+    Args:
+        spec: As for ``find_planner``.
+
+    Returns:
+        The file of ``path/to/file.py:Class``; nothing for what is installed.
+    """
+    location = spec.rpartition(":")[0]
+    return [Path(location)] if location.endswith(".py") else []
 
 
 def _distribution(entry_point: EntryPoint) -> str:

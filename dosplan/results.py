@@ -1,14 +1,17 @@
 """The run folder: ``run.json``, the rows of ``scenarios.jsonl``, and their summary.
 
 ``run.json`` names every episode of the run, so the denominator of each share is the manifest:
-an episode that crashed is a row like any other. Rows are appended and flushed as they finish;
-a row that was cut off by a kill is dropped on reading and its episode is driven again.
+an episode that crashed is a row like any other. Rows are appended as they finish; a row that was
+cut off by a kill is dropped on reading and its episode is driven again. What each episode did is
+in ``episodes/<scenario>.<arm>.npz``; where Python raised in it, the traceback is beside that, in
+``episodes/<scenario>.<arm>.txt``.
 
 How the figures of the summary are averaged:
 
-* shares are over all scenarios of the run;
-* ``velocity`` is the mean over the episodes that drove a step of their mean velocity (an
-  episode that failed before its first step has no velocity);
+* shares are over all scenarios of the run, but for ``comfortable_rate``;
+* ``velocity``, ``progress`` and ``comfortable_rate`` are means over the episodes that drove a
+  step (an episode that failed before its first step has no velocity);
+* ``min_time_to_collision`` is the mean over the episodes that have one;
 * ``cycle_ms_p50`` and ``cycle_ms_p99`` are percentiles over all planning cycles of all episodes
   pooled, read from the episode files: a percentile of per-episode percentiles would be neither.
 """
@@ -17,9 +20,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from itertools import product
 from pathlib import Path
-from typing import IO, Any, TypedDict
+from typing import IO, Any, Final, NoReturn, TypedDict, get_type_hints
 from urllib.parse import quote
 
 import numpy as np
@@ -27,6 +32,16 @@ import numpy as np
 from dosplan.files import FileError, atomic_file, read_json
 from dosplan.recording import load_recording
 from dosplan.types import Arm, CollisionClass, FloatArray, Outcome, Score
+
+_LONGEST_NAME: Final = 200  # File systems allow 255 bytes; endings need some of them.
+_COLUMNS: Final = get_type_hints(Score)
+_MANIFEST: Final = {
+    "config": dict,
+    "planner": str,
+    "predictor": str,
+    "scenarios": list,
+    "versions": dict,
+}
 
 
 class ArmSummary(TypedDict):
@@ -37,11 +52,16 @@ class ArmSummary(TypedDict):
         success_rate: Share of ``success``.
         safe_rate: Share without collision and within bounds (the paper's success).
         collision_rate: Share of ``collision``.
-        at_fault_collision_rate: Share of collisions that the ego is to blame for.
+        at_fault_collision_rate: Share with a collision that the ego is to blame for.
         out_of_bounds_rate: Share of ``out_of_bounds``.
         goal_missed_rate: Share of ``goal_missed``.
         planner_failure_rate: Share of ``planner_failure``.
+        comfortable_rate: Share, of the episodes that drove a step, in which every comfort bound
+            holds, or None where none did.
         velocity: Mean velocity, m/s, or None where no episode drove a step.
+        progress: Mean distance along the reference path, m, or None likewise.
+        min_time_to_collision: Mean of the smallest times to collision, s, or None where no
+            episode has one.
         cycle_ms_p50: Median time of a planning cycle, ms, or None where none ran.
         cycle_ms_p99: 99th percentile of it.
     """
@@ -54,7 +74,10 @@ class ArmSummary(TypedDict):
     out_of_bounds_rate: float
     goal_missed_rate: float
     planner_failure_rate: float
+    comfortable_rate: float | None
     velocity: float | None
+    progress: float | None
+    min_time_to_collision: float | None
     cycle_ms_p50: float | None
     cycle_ms_p99: float | None
 
@@ -90,7 +113,7 @@ class RunFolder:
         return self.path / "summary.md"
 
     def recording(self, scenario: str, arm: Arm) -> Path:
-        """File of an episode; characters of an id that are unsafe in a file name are quoted.
+        """File of an episode; what is unsafe in a file name is quoted, what is too long is cut.
 
         Args:
             scenario: Id of the scenario.
@@ -99,7 +122,34 @@ class RunFolder:
         Returns:
             Its path.
         """
-        return self.path / "episodes" / f"{quote(scenario, safe='@')}.{arm.value}.npz"
+        name = quote(scenario, safe="@")
+        if len(name) > _LONGEST_NAME:
+            digest = sha256(scenario.encode()).hexdigest()[:16]
+            name = f"{name[: _LONGEST_NAME - len(digest) - 1]}-{digest}"
+        return self.path / "episodes" / f"{name}.{arm.value}.npz"
+
+    def traceback(self, scenario: str, arm: Arm) -> Path:
+        """File of the traceback of an episode in which Python raised.
+
+        Args:
+            scenario: Id of the scenario.
+            arm: The arm.
+
+        Returns:
+            Its path.
+        """
+        return self.recording(scenario, arm).with_suffix(".txt")
+
+    def holds(self, row: Score) -> bool:
+        """Whether the folder holds the episode file that a row speaks of.
+
+        Args:
+            row: A row.
+
+        Returns:
+            Whether it is there; True where no planning cycle ran, since nothing is read then.
+        """
+        return row.cycle_ms_p50 is None or self.recording(row.scenario, row.arm).is_file()
 
 
 def row_line(score: Score) -> str:
@@ -117,19 +167,21 @@ def row_line(score: Score) -> str:
     return json.dumps(asdict(score), allow_nan=False) + "\n"
 
 
-def append_row(file: IO[str], score: Score) -> None:
-    """Appends a row and flushes it, so that a kill loses no finished episode.
+def append_row(file: IO[bytes], score: Score) -> None:
+    """Appends a row at once, so that a kill loses no finished episode.
 
     Args:
-        file: ``scenarios.jsonl``, opened for appending.
+        file: ``scenarios.jsonl``, opened for appending without a buffer: what a buffer could
+            not write, closing the file would try, and fail, to write again.
         score: The score.
 
     Raises:
         FileError: It cannot be written.
     """
+    rest = row_line(score).encode()
     try:
-        file.write(row_line(score))
-        file.flush()
+        while rest:  # A write without a buffer may take a part only.
+            rest = rest[file.write(rest) :]
     except OSError as error:
         raise FileError(f"cannot write {file.name}: {error.strerror or error}") from error
 
@@ -152,7 +204,7 @@ def read_rows(path: Path) -> list[Score]:
     rows = []
     for number, line in enumerate(lines, start=1):
         try:
-            rows.append(_score(json.loads(line)))
+            rows.append(_score(json.loads(line, parse_constant=_refuse)))
         except (ValueError, TypeError, KeyError) as error:
             raise FileError(
                 f"{path}, line {number}, is not a row of this version ({error}); "
@@ -185,17 +237,45 @@ def read_run(path: Path) -> tuple[dict[str, Any], list[Score]]:
         ``run.json`` and the rows.
 
     Raises:
-        FileError: It is not a run folder, or rows are missing.
+        FileError: It is not a run folder, or its rows are not those of its episodes.
     """
     folder = RunFolder(path)
     if not folder.manifest.is_file():
         raise FileError(f"{path} is not a run folder: it has no run.json")
-    manifest = read_json(folder.manifest)
+    manifest = read_manifest(folder)
     rows = read_rows(folder.rows)
-    missing = len(manifest["scenarios"]) * len(manifest["config"]["arms"]) - len(rows)
-    if missing:
+    wanted = set(product(manifest["scenarios"], manifest["config"]["arms"]))
+    held = {(row.scenario, row.arm) for row in rows}
+    if missing := len(wanted - held):
         raise FileError(f"{path} lacks {missing} episodes: run the same command again to resume it")
+    if len(rows) > len(wanted):
+        raise FileError(
+            f"{folder.rows} holds {len(rows) - len(wanted)} rows too many: "
+            "run the same command again to put it right"
+        )
     return manifest, rows
+
+
+def read_manifest(folder: RunFolder) -> dict[str, Any]:
+    """Reads ``run.json``.
+
+    Args:
+        folder: The run folder.
+
+    Returns:
+        Its content.
+
+    Raises:
+        FileError: It cannot be read or does not describe a run.
+    """
+    manifest = read_json(folder.manifest)
+    if not _describes_a_run(manifest):
+        raise FileError(
+            f"{folder.manifest} is not a run.json of this version; "
+            "name another folder, or delete this one"
+        )
+    found: dict[str, Any] = manifest
+    return found
 
 
 def summarise(
@@ -245,7 +325,7 @@ def pooled_cycle_ms(folder: RunFolder, rows: Iterable[Score], arm: Arm) -> Float
 def _score(row: Any) -> Score:
     if not isinstance(row, dict):
         raise TypeError("not an object")
-    unknown = row.keys() ^ {field.name for field in fields(Score)}
+    unknown = row.keys() ^ _COLUMNS.keys()
     if unknown:
         raise ValueError(f"columns {', '.join(sorted(unknown))} do not match")
     kind = row["collision_class"]
@@ -254,14 +334,38 @@ def _score(row: Any) -> Score:
         "outcome": Outcome(row["outcome"]),
         "collision_class": None if kind is None else CollisionClass(kind),
     }
-    return Score(**{**row, **typed})
+    values = {**row, **typed}
+    for name, value in values.items():
+        # A float without decimals may stand as an integer in JSON.
+        candidates = (value, float(value)) if type(value) is int else (value,)
+        if not any(isinstance(candidate, _COLUMNS[name]) for candidate in candidates):
+            raise ValueError(f"{name} is {value!r}")
+    return Score(**values)
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"{constant} is not a number")
+
+
+def _describes_a_run(manifest: Any) -> bool:
+    if not isinstance(manifest, dict) or not all(
+        isinstance(manifest.get(key), kind) for key, kind in _MANIFEST.items()
+    ):
+        return False
+    arms = manifest["config"].get("arms")
+    return (
+        isinstance(arms, list)
+        and all(arm in list(Arm) for arm in arms)
+        and all(isinstance(scenario, str) for scenario in manifest["scenarios"])
+    )
 
 
 def _summarise_arm(rows: Sequence[Score], n: int, cycle_ms: FloatArray) -> ArmSummary:
     if len(rows) != n:
         raise ValueError(f"{len(rows)} rows for {n} scenarios: every scenario needs its row")
     outcomes = [row.outcome for row in rows]
-    velocities = [row.velocity for row in rows if row.steps > 0]
+    driven = [row for row in rows if row.steps > 0]
+    times = [r.min_time_to_collision for r in rows if r.min_time_to_collision is not None]
     p50, p99 = np.percentile(cycle_ms, [50, 99]).tolist() if len(cycle_ms) else (None, None)
     return ArmSummary(
         n=n,
@@ -272,7 +376,14 @@ def _summarise_arm(rows: Sequence[Score], n: int, cycle_ms: FloatArray) -> ArmSu
         out_of_bounds_rate=outcomes.count(Outcome.OUT_OF_BOUNDS) / n,
         goal_missed_rate=outcomes.count(Outcome.GOAL_MISSED) / n,
         planner_failure_rate=outcomes.count(Outcome.PLANNER_FAILURE) / n,
-        velocity=float(np.mean(velocities)) if velocities else None,
+        comfortable_rate=_mean([row.comfortable for row in driven]),
+        velocity=_mean([row.velocity for row in driven]),
+        progress=_mean([row.progress for row in driven]),
+        min_time_to_collision=_mean(times),
         cycle_ms_p50=p50,
         cycle_ms_p99=p99,
     )
+
+
+def _mean(values: Sequence[float]) -> float | None:
+    return float(np.mean(values)) if values else None

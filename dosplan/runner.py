@@ -6,16 +6,18 @@ one episode with it and nothing else. The planner and the predictor, whose makin
 kept from episode to episode by each worker, and made anew after a failure.
 
 Determinism: a row must not depend on which worker drove it or what that worker drove before.
-Plug-ins are ``reset``, the global random generators are seeded for each episode, numerical
-libraries get one thread, and the rows end up in the order of the manifest.
+Plug-ins are ``reset``, the global random generators are seeded before plug-ins are made and for
+each episode, numerical libraries get one thread, and the rows end up in the order of the manifest.
 """
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import os
 import random
 import signal
+import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -25,6 +27,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
+from threading import Thread
 from typing import Any, Final
 
 import numpy as np
@@ -32,8 +35,8 @@ from pebble import ProcessExpired, ProcessPool
 
 from dosplan.api import OraclePredictor, Planner, Predictor
 from dosplan.compare import compare_rows
-from dosplan.files import read_json, write_json, write_text
-from dosplan.provenance import describe_environment
+from dosplan.files import FileError, write_json, write_text
+from dosplan.provenance import content_digest, describe_environment
 from dosplan.recording import save_recording
 from dosplan.registry import (
     create_planner,
@@ -41,13 +44,16 @@ from dosplan.registry import (
     find_planner,
     find_predictor,
     one_line,
+    source_files,
 )
 from dosplan.report.tables import summary_markdown
 from dosplan.results import (
     RunFolder,
     append_row,
     pooled_cycle_ms,
+    read_manifest,
     read_rows,
+    row_line,
     summarise,
     write_rows,
 )
@@ -109,7 +115,11 @@ class RunConfig:
     def __post_init__(self) -> None:
         if not self.arms or len(set(self.arms)) != len(self.arms):
             raise RunError("arms must name one arm or both, each once")
-        for name in ("workers", "limit", "replan_every", "episode_timeout"):
+        if not 0.0 < self.episode_timeout < math.inf:
+            raise RunError(
+                f"episode_timeout is {self.episode_timeout}; it must be more than 0 and finite"
+            )
+        for name in ("workers", "limit", "replan_every"):
             value = getattr(self, name)
             if value is not None and value <= 0:
                 raise RunError(f"{name} is {value}; it must be more than 0")
@@ -137,14 +147,16 @@ def run(config: RunConfig, progress: Progress = lambda done, total: None) -> Run
     refs = find_scenarios(config.source)[: config.limit]
     manifest = _manifest(config, refs)
     folder = RunFolder(config.out)
-    _open_folder(folder, manifest)
-    rows = {(row.scenario, row.arm): row for row in read_rows(folder.rows)}
+    manifest = _open_folder(folder, manifest)
+    tasks = list(product(refs, config.arms))
+    wanted = {(ref.id, arm) for ref, arm in tasks}
+    kept = [row for row in read_rows(folder.rows) if folder.holds(row)]
+    rows = {key: row for row in kept if (key := (row.scenario, row.arm)) in wanted}
     write_rows(folder.rows, rows.values())
 
-    tasks = list(product(refs, config.arms))
     left = [(ref, arm) for ref, arm in tasks if (ref.id, arm) not in rows]
     progress(len(rows), len(tasks))
-    with folder.rows.open("a", encoding="utf-8") as file, closing(_drive_all(left, config)) as done:
+    with folder.rows.open("ab", buffering=0) as file, closing(_drive_all(left, config)) as done:
         for row in done:
             append_row(file, row)
             rows[row.scenario, row.arm] = row
@@ -173,21 +185,39 @@ def drive_episode(ref: ScenarioRef, arm: Arm, config: RunConfig) -> Score:
         FileError: The episode's file cannot be written; that ends the run.
     """
     vehicle = VehicleParameters()
+    folder = RunFolder(config.out)
+
+    def keep_traceback(error: BaseException) -> None:
+        text = "".join(traceback.format_exception(error))
+        write_text(folder.traceback(ref.id, arm), text.encode(errors="replace").decode())
+
     try:
+        _seed_globals(config.seed)
         planner, predictor = _plugins(config.planner, config.predictor, config.seed)
-        random.seed(config.seed)
-        np.random.seed(config.seed % 2**32)  # noqa: NPY002 - a plug-in may use the global one
+        _seed_globals(config.seed)
         scenario = load_scenario(ref)
         simulation = SimulationConfig(replan_every=config.replan_every)
-        episode = run_episode(scenario, planner, predictor, arm, simulation, vehicle)
+        episode = run_episode(
+            scenario, planner, predictor, arm, simulation, vehicle, keep_traceback
+        )
         row = score(scenario, episode, vehicle)
+        row_line(row)  # What is no number is told here, not by the runner when it appends the row.
+        save_recording(folder.recording(ref.id, arm), episode, vehicle)
+    except FileError:
+        raise
     except (Exception, SystemExit) as error:
         _plugins.cache_clear()
+        keep_traceback(error)
         return failed_score(ref.id, arm, one_line(error))
     if episode.end is EpisodeEnd.PLANNER_FAILURE:
         _plugins.cache_clear()
-    save_recording(RunFolder(config.out).recording(ref.id, arm), episode, vehicle)
     return row
+
+
+def _seed_globals(seed: int) -> None:
+    """Seeds the global generators, which a plug-in may use."""
+    random.seed(seed)
+    np.random.seed(seed % 2**32)  # noqa: NPY002
 
 
 @lru_cache(maxsize=1)
@@ -210,33 +240,51 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> dict[str, Any]:
         "planner": planner.name,
         "predictor": predictor.name,
         "scenarios": [ref.id for ref in refs],
+        "digests": {
+            "planner file": content_digest(source_files(config.planner)),
+            "predictor file": content_digest(source_files(config.predictor)),
+            "scenario files": content_digest(ref.path for ref in refs),
+        },
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         **describe_environment(),
     }
 
 
-def _open_folder(folder: RunFolder, manifest: dict[str, Any]) -> None:
-    """Makes the run folder, or checks that the one that is there holds the same run."""
+def _open_folder(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Makes the run folder, or checks that the one that is there holds the same run.
+
+    Returns:
+        What its ``run.json`` holds.
+    """
     if folder.manifest.exists():
-        there, here = (_identity(m) for m in (read_json(folder.manifest), manifest))
+        old = read_manifest(folder)
+        there, here = _identity(old), _identity(manifest)
         odd = next((key for key in here if there.get(key) != here[key]), None)
         if odd is not None:
             raise RunError(
                 f"{folder.path} holds a run with another {odd}; nothing was changed. "
                 "Choose another --out, or give the same arguments to resume"
             )
-    elif folder.path.is_dir() and any(folder.path.iterdir()):
+        return old
+    if folder.path.is_dir() and any(folder.path.iterdir()):
         raise RunError(f"{folder.path} is not empty and holds no run; choose another --out")
-    else:
-        write_json(folder.manifest, manifest)
+    write_json(folder.manifest, manifest)
+    return manifest
 
 
 def _identity(manifest: dict[str, Any]) -> dict[str, Any]:
     """What must agree for two invocations to be one run."""
-    settings = {key: value for key, value in manifest["config"].items() if key != "workers"}
+    # The source is known by its scenarios: the same files by another path are the same source.
+    free = ("workers", "source")
+    settings = {key: value for key, value in manifest["config"].items() if key not in free}
     plugins = {f"{key} version": manifest[key] for key in ("planner", "predictor")}
-    dosplan = {"dosplan version": manifest["versions"]["dosplan"]}
-    return {**settings, **plugins, **dosplan, "list of scenarios": manifest["scenarios"]}
+    return {
+        **settings,
+        **plugins,
+        "dosplan version": manifest["versions"].get("dosplan"),
+        "list of scenarios": manifest["scenarios"],
+        "content of its planner, predictor or scenario files": manifest.get("digests"),
+    }
 
 
 def _drive_all(tasks: Sequence[_Task], config: RunConfig) -> Generator[Score]:
@@ -259,7 +307,8 @@ def _drive_in_pool(tasks: Sequence[_Task], config: RunConfig) -> Iterator[tuple[
     """Yields what one pool gets done: all tasks, unless it breaks as a whole."""
     context = multiprocessing.get_context("spawn")
     workers = min(config.workers, len(tasks))
-    with _environment(_WORKER_ENVIRONMENT), _stopped(ProcessPool(workers, context=context)) as pool:
+    made = ProcessPool(workers, initializer=_prepare_worker, context=context)
+    with _environment(_WORKER_ENVIRONMENT), _stopped(made) as pool:
         futures: dict[Future[Score], _Task] = {}
         for task in tasks:
             arguments = (*task, config)
@@ -276,6 +325,19 @@ def _drive_in_pool(tasks: Sequence[_Task], config: RunConfig) -> Iterator[tuple[
                 yield task, failed_score(ref.id, arm, _cause_of_death(error.exitcode))
             elif not isinstance(error, BrokenProcessPool):
                 raise error
+
+
+def _prepare_worker() -> None:
+    """Keeps a worker's prints out of the figures on stdout, and ends it with the runner."""
+    os.dup2(2, 1)
+    Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()  # However it ends: killed, too, when it can no longer stop its workers.
+        os._exit(1)
 
 
 def _cause_of_death(exit_code: int) -> str:

@@ -27,10 +27,11 @@ The drive that is scored
 ------------------------
 A simulation does not stop at a collision, a car does. The drive begins at the first state and ends
 at the first contact, at the first state that reaches a goal, or at the last state, whichever comes
-first; every metric is over that drive alone. Whether a goal was reached is found out from the
-states. A planner failure counts where the drive lasts until it; a goal at the very step of a
-contact is noted, but the outcome is `collision`. If the ego left the road before it collided, the
-outcome is `collision` and `out_of_bounds_step` is filled as well.
+first; every metric is over that drive alone, and so are cycle times and fallbacks: a cycle counts
+where a step of the drive follows it. Whether a goal was reached is found out from the states. A
+planner failure counts where the drive lasts until it; a goal at the very step of a contact is
+noted, but the outcome is `collision`. If the ego left the road before it collided, the outcome is
+`collision` and `out_of_bounds_step` is filled as well.
 
 Several road users may be touched for the first time on the way to the same step. The collision
 that is reported is the earliest of those the ego is to blame for, or the earliest of all where it
@@ -60,6 +61,7 @@ from dosplan.types import (
     Episode,
     EpisodeEnd,
     FloatArray,
+    IntArray,
     Outcome,
     PlanningTask,
     Route,
@@ -99,8 +101,8 @@ def score(scenario: Scenario, episode: Episode, vehicle: VehicleParameters) -> S
     collision_class: CollisionClass | None = None
     collision_with = collision_step = None
     if touched:
-        # The first one that is to blame, or the first of all where none is.
-        reported = blamed.index(any(blamed))
+        # In the order of contact: the first one to blame, or the first of all where none is.
+        reported = next((i for i, fault in enumerate(blamed) if fault), 0)
         collision_class = classes[reported]
         collision_with = int(scenario.tracks.ids[touched[reported].user])
         collision_step = touched[reported].step
@@ -124,7 +126,8 @@ def score(scenario: Scenario, episode: Episode, vehicle: VehicleParameters) -> S
         outcome = Outcome.GOAL_MISSED
 
     felt = comfort(states, scenario.dt)
-    median, slowest = _cycle_times(episode)
+    cycles = np.flatnonzero(episode.cycle_steps < start + driven)
+    median, slowest = _cycle_times(episode, cycles)
     return Score(
         scenario=episode.scenario_id,
         arm=episode.arm,
@@ -146,8 +149,8 @@ def score(scenario: Scenario, episode: Episode, vehicle: VehicleParameters) -> S
         min_time_to_collision=min_time_to_collision(ego, vehicle, scenario.tracks, start),
         cycle_ms_p50=median,
         cycle_ms_p99=slowest,
-        fallback_cycles=sum(plan.report.fallback is not None for plan in episode.plans),
-        error=episode.error,
+        fallback_cycles=sum(episode.plans[i].report.fallback is not None for i in cycles),
+        error=episode.error if outcome is Outcome.PLANNER_FAILURE else None,
     )
 
 
@@ -257,10 +260,10 @@ def _progress(route: Route, ego: FloatArray) -> float:
     return float(last - first)
 
 
-def _cycle_times(episode: Episode) -> tuple[float | None, float | None]:
-    """Median and 99th percentile of the time of a full cycle, ms; None without a cycle."""
-    if not episode.plans:
+def _cycle_times(episode: Episode, cycles: IntArray) -> tuple[float | None, float | None]:
+    """Median and 99th percentile of the time of some full cycles, ms; None without a cycle."""
+    if not cycles.size:
         return None, None
-    cycles = 1e3 * (episode.predict_seconds + episode.plan_seconds)
-    median, slowest = np.percentile(cycles, [50.0, 99.0])
+    times = 1e3 * (episode.predict_seconds + episode.plan_seconds)[cycles]
+    median, slowest = np.percentile(times, [50.0, 99.0])
     return float(median), float(slowest)

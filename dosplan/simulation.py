@@ -6,18 +6,16 @@ next input is cut to what the actuators can deliver and held for one step.
 
 from __future__ import annotations
 
-import traceback
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
 from dosplan.api import OraclePredictor, Planner, PluginError, Predictor
 from dosplan.goals import goal_reached
-from dosplan.registry import one_line
+from dosplan.registry import failure_place, one_line
 from dosplan.types import (
     EGO_HEADING,
     EGO_SIZE,
@@ -58,6 +56,10 @@ class SimulationConfig:
 class _PluginFailedError(Exception):
     """A planner or predictor raised; the message is the line that goes into the episode."""
 
+    def __init__(self, message: str, cause: BaseException) -> None:
+        super().__init__(message)
+        self.cause = cause
+
 
 @dataclass
 class _Log:
@@ -79,6 +81,7 @@ def run_episode(
     arm: Arm,
     config: SimulationConfig = SimulationConfig(),
     vehicle: VehicleParameters = VehicleParameters(),  # noqa: B008 - frozen
+    on_failure: Callable[[BaseException], None] = lambda error: None,
 ) -> Episode:
     """Drives one scenario in closed loop.
 
@@ -93,6 +96,7 @@ def run_episode(
         arm: ``WITHOUT_DOS`` takes the sets off every prediction before the planner sees it.
         config: How the loop runs.
         vehicle: The ego.
+        on_failure: Called with what the planner or the predictor raised, traceback and all.
 
     Returns:
         The episode. A plug-in's exception is in ``Episode.error`` as one line
@@ -104,6 +108,7 @@ def run_episode(
         end = _drive(scenario, planner, predictor, arm, config, vehicle, log)
     except _PluginFailedError as failure:
         end, error = EpisodeEnd.PLANNER_FAILURE, str(failure)
+        on_failure(failure.cause)
     return Episode(
         scenario_id=scenario.id,
         arm=arm,
@@ -238,9 +243,7 @@ def _blame(role: str, plugin: Planner | Predictor) -> Iterator[None]:
     """Turns whatever a plug-in raises into one line that names it and the place."""
     try:
         yield
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         name = getattr(plugin, "name", type(plugin).__name__)
-        place = traceback.extract_tb(error.__traceback__)[-1]
-        raise _PluginFailedError(
-            f"{role} {name}: {one_line(error)} ({Path(place.filename).name}:{place.lineno})"
-        ) from error
+        place = failure_place(error, type(plugin))
+        raise _PluginFailedError(f"{role} {name}: {one_line(error)} ({place})", error) from error

@@ -11,14 +11,17 @@ Conventions shared by every type:
   kinematic single track: x and y are those of the **rear axle**. ``dosplan.vehicle`` turns
   it into the centre of the ego's rectangle.
 * A *road-user state* is a row ``(x, y, heading, velocity)`` of the shape's **centre**.
-* Arrays are stored as read-only views: a plug-in cannot change what it was handed.
+* Arrays are stored as read-only copies: nobody can change what was handed over, neither who
+  made it nor who got it.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
+from numbers import Integral, Real
 from typing import Any, Final, Self
 
 import numpy as np
@@ -52,7 +55,10 @@ class ShapeError(ValueError):
 def _frozen(
     owner: object, field: str, dtype: Any, shape: Sequence[int | None], finite: bool = False
 ) -> None:
-    """Replaces ``owner.field`` by a read-only view after checking its shape.
+    """Replaces ``owner.field`` by a read-only copy after checking its shape.
+
+    What is stored is a view of a copy that is read-only itself, so that ``setflags`` cannot make
+    it writable again.
 
     Args:
         owner: A frozen dataclass instance.
@@ -69,7 +75,7 @@ def _frozen(
     name = getattr(owner, "scenario_id", None)
     suffix = f" (scenario {name})" if name else ""
     try:
-        array = np.asarray(value, dtype=dtype)
+        array = np.array(value, dtype=dtype)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{where} is not an array of {np.dtype(dtype)}: {error}{suffix}") from None
     if array.ndim != len(shape) or any(
@@ -79,9 +85,16 @@ def _frozen(
         raise ShapeError(f"{where} has shape {array.shape}, expected {wanted}{suffix}")
     if finite and not np.all(np.isfinite(array)):
         raise ShapeError(f"{where} holds a NaN or an infinite value{suffix}")
-    view = array.view()
-    view.setflags(write=False)
-    object.__setattr__(owner, field, view)
+    array.setflags(write=False)
+    object.__setattr__(owner, field, array.view())
+
+
+def _whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
 
 
 class Arm(StrEnum):
@@ -95,7 +108,6 @@ class RoadUserKind(StrEnum):
     """What a road user is."""
 
     CAR = "car"
-    VAN = "van"
     TRUCK = "truck"
     BUS = "bus"
     TRAIN = "train"
@@ -120,6 +132,8 @@ class Lanelet:
         left_neighbour: Id of the adjacent lanelet on the left **in the same direction**.
         right_neighbour: The same on the right.
         speed_limit: m/s, or None where the map names none.
+        for_cars: Whether a route may use it; False for footways and bicycle lanes, which are
+            linked to none that is for cars.
     """
 
     id: int
@@ -130,6 +144,7 @@ class Lanelet:
     left_neighbour: int | None = None
     right_neighbour: int | None = None
     speed_limit: float | None = None
+    for_cars: bool = True
 
     def __post_init__(self) -> None:
         _frozen(self, "left", np.float64, (None, 2), finite=True)
@@ -147,7 +162,9 @@ class RoadMap:
 
     Attributes:
         lanelets: Every lanelet of the map.
-        drivable: Union of the lanelets, m; the ego's rectangle must stay inside it.
+        drivable: Union of **all** lanelets, m; the ego's rectangle must stay inside it. Footways
+            and bicycle lanes belong to it, as they do for CommonRoad's own drivability checker:
+            no route leads over them, but to touch one is not to leave the road.
     """
 
     lanelets: tuple[Lanelet, ...]
@@ -453,6 +470,25 @@ class SolveReport:
     active_ids: tuple[int, ...] = ()
     fallback: str | None = None
 
+    def __post_init__(self) -> None:
+        checks = (
+            ("status", isinstance(self.status, SolveStatus), "a SolveStatus"),
+            ("iterations", _whole(self.iterations) and self.iterations >= 0, "an integer >= 0"),
+            ("seconds", _finite(self.seconds), "a finite number"),
+            ("slack", _finite(self.slack), "a finite number"),
+            (
+                "active_ids",
+                isinstance(self.active_ids, tuple) and all(map(_whole, self.active_ids)),
+                "a tuple of integers",
+            ),
+            ("fallback", isinstance(self.fallback, str | None), "a name or None"),
+        )
+        for field, holds, wanted in checks:
+            if not holds:
+                raise ShapeError(
+                    f"SolveReport.{field} is {getattr(self, field)!r}, expected {wanted}"
+                )
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -473,6 +509,8 @@ class Plan:
         _frozen(self, "states", np.float64, (len(self.inputs) + 1, EGO_SIZE), finite=True)
         if len(self.inputs) == 0:
             raise ShapeError("Plan.inputs is empty: a plan needs one step at least")
+        if not isinstance(self.report, SolveReport):
+            raise ShapeError(f"Plan.report is {self.report!r}, expected a SolveReport")
 
 
 class EpisodeEnd(StrEnum):

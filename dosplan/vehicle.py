@@ -24,6 +24,8 @@ from dosplan.types import (
     FloatArray,
 )
 
+_STRAIGHT = 1e-9  # Curvature below which a bend limits no velocity, 1/m.
+
 
 @dataclass(frozen=True)
 class VehicleParameters:
@@ -101,9 +103,13 @@ class VehicleParameters:
     def clip_input(self, state: FloatArray, u: FloatArray, dt: float) -> FloatArray:
         """The input the actuators can deliver, nearest to the one that is asked for.
 
-        The steering rate is clipped to its own bounds and to those of the steering angle; the
-        acceleration to the friction circle, to the engine's power and so that the velocity
-        stays within 0 and ``max_velocity`` (the ego does not reverse).
+        Cornering comes first: at the step's end the wheels are turned no further than their stop,
+        and no further than the grip allows at the present velocity,
+        ``v^2 tan|delta| / l_wb <= max_acceleration``; wheels that are turned further already go
+        back as fast as they can. The acceleration keeps the velocity within 0 and
+        ``max_velocity`` (the ego does not reverse) and is within what cornering leaves of the
+        friction circle and within the engine's power. It does not lead into a velocity that is
+        too fast for the bend.
 
         Args:
             state: (5,) ego state.
@@ -114,17 +120,21 @@ class VehicleParameters:
             (2,) input.
         """
         steering, velocity = state[EGO_STEERING], state[EGO_VELOCITY]
-        rate = np.clip(u[0], -self.max_steering_rate, self.max_steering_rate)
-        rate = np.clip(
-            rate, (-self.max_steering - steering) / dt, (self.max_steering - steering) / dt
+        gripping = np.arctan2(self.max_acceleration * self.wheelbase, velocity**2)
+        turned = min(self.max_steering, gripping)
+        rate = np.clip(u[0], (-turned - steering) / dt, (turned - steering) / dt)
+        rate = np.clip(rate, -self.max_steering_rate, self.max_steering_rate)
+
+        curvature = np.tan(max(abs(steering), abs(steering + rate * dt))) / self.wheelbase
+        left = np.sqrt(max(self.max_acceleration**2 - (velocity**2 * curvature) ** 2, 0.0))
+        fastest = np.sqrt(self.max_acceleration / max(curvature, _STRAIGHT))
+        engine = self.max_acceleration * (
+            self.switching_velocity / max(velocity, self.switching_velocity)
         )
-        lateral = velocity**2 * np.tan(steering) / self.wheelbase
-        grip = np.sqrt(max(self.max_acceleration**2 - lateral**2, 0.0))
-        engine = self.max_acceleration * min(
-            1.0, self.switching_velocity / max(velocity, self.switching_velocity)
+        acceleration = np.clip(u[1], -velocity / dt, (self.max_velocity - velocity) / dt)
+        acceleration = np.clip(
+            acceleration, -left, min(left, engine, max(fastest - velocity, 0.0) / dt)
         )
-        acceleration = np.clip(u[1], -grip, min(grip, engine))
-        acceleration = np.clip(acceleration, -velocity / dt, (self.max_velocity - velocity) / dt)
         return np.array([rate, acceleration], dtype=np.float64)
 
     def derivative(self, states: FloatArray, inputs: FloatArray) -> FloatArray:

@@ -30,6 +30,8 @@ class Lane:
     right_neighbour: tuple[int, bool] | None = None
     speed_limit: float | None = None
     bidirectional: bool = False
+    kind: str = "urban"
+    user: str | None = None
 
 
 @dataclass(frozen=True)
@@ -280,7 +282,8 @@ def _lane(lane: Lane, modern: bool) -> str:
             direction = "same" if neighbour[1] else "opposite"
             links += f'<{tag} ref="{neighbour[0]}" drivingDir="{direction}"/>'
     if modern:
-        links += "<laneletType>urban</laneletType>"
+        links += f"<laneletType>{lane.kind}</laneletType>"
+        links += "" if lane.user is None else f"<userOneWay>{lane.user}</userOneWay>"
         links += "<userBidirectional>car</userBidirectional>" if lane.bidirectional else ""
     if lane.speed_limit is not None:
         sign = f'<trafficSignRef ref="{90000 + lane.id}"/>'

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from rich import box
@@ -10,15 +10,16 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 from dosplan.compare import Comparison, Difference
-from dosplan.types import Arm
+from dosplan.types import Arm, Score
 
+ERRORS_SHOWN: Final = 10
 _ARM_TITLES: Final = {Arm.WITH_DOS: "with DOS", Arm.WITHOUT_DOS: "without DOS"}
 
 Column = tuple[str, str, Callable[[Any], str]]
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.1f}"
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100.0 * share:.1f}"
 
 
 def _decimal(value: float | None) -> str:
@@ -29,7 +30,8 @@ def _milliseconds(value: float | None) -> str:
     return "-" if value is None else f"{value:.1f}"
 
 
-# Heading, key of the summary, format. The first table is the one of the paper.
+# Heading, key of the summary, format. The first table is the one of the paper; TTC is the time
+# to collision.
 _MAIN: Final[Sequence[Column]] = (
     ("Success %", "success_rate", _percent),
     ("Collision %", "collision_rate", _percent),
@@ -42,6 +44,11 @@ _MORE: Final[Sequence[Column]] = (
     ("At-fault collision %", "at_fault_collision_rate", _percent),
     ("Goal missed %", "goal_missed_rate", _percent),
     ("Planner failure %", "planner_failure_rate", _percent),
+)
+_RIDE: Final[Sequence[Column]] = (
+    ("Progress m", "progress", _decimal),
+    ("Comfortable %", "comfortable_rate", _percent),
+    ("Min TTC s", "min_time_to_collision", _decimal),
     ("Cycle p50 ms", "cycle_ms_p50", _milliseconds),
     ("Cycle p99 ms", "cycle_ms_p99", _milliseconds),
 )
@@ -57,9 +64,7 @@ def summary_tables(summary: Mapping[str, Any]) -> RenderableType:
         The paper's columns, the further ones, and a line on the paired difference where both
         arms ran.
     """
-    tables = [
-        table(columns, rows) for columns, rows in (_cells(summary, _MAIN), _cells(summary, _MORE))
-    ]
+    tables = [table(*_cells(summary, columns)) for columns in (_MAIN, _MORE, _RIDE)]
     return Group(_title(summary), *tables, *_difference_lines(summary))
 
 
@@ -73,9 +78,33 @@ def summary_markdown(summary: Mapping[str, Any]) -> str:
         The text of ``summary.md``.
     """
     blocks = [f"# {_title(summary)}"]
-    blocks += [markdown(*_cells(summary, columns)) for columns in (_MAIN, _MORE)]
+    blocks += [markdown(*_cells(summary, columns)) for columns in (_MAIN, _MORE, _RIDE)]
     blocks += _difference_lines(summary)
     return "\n\n".join(blocks) + "\n"
+
+
+def error_lines(rows: Iterable[Score]) -> list[str]:
+    """Lists what went wrong in a run.
+
+    Args:
+        rows: Its rows.
+
+    Returns:
+        One line for each distinct error, the most frequent first, with its count and the first
+        episode it befell; after ``ERRORS_SHOWN`` of them, one line that counts the others.
+    """
+    befallen: dict[str, list[Score]] = {}
+    for row in rows:
+        if row.error is not None:
+            befallen.setdefault(row.error, []).append(row)
+    errors = sorted(befallen.items(), key=lambda item: -len(item[1]))
+    lines = [
+        f"{len(failed)} x {error} [{failed[0].scenario}, {failed[0].arm.value}]"
+        for error, failed in errors[:ERRORS_SHOWN]
+    ]
+    if len(errors) > ERRORS_SHOWN:
+        lines.append(f"and {len(errors) - ERRORS_SHOWN} further errors; the rows hold them all")
+    return lines
 
 
 def comparison_tables(comparison: Comparison) -> RenderableType:
@@ -88,7 +117,7 @@ def comparison_tables(comparison: Comparison) -> RenderableType:
         The differences, then the scenarios whose outcome differs.
     """
     differences = table(
-        ["", "A", "B", "B - A", "95 % interval", "A only", "B only", "McNemar p"],
+        ["", "n", "A", "B", "B - A", "95 % interval", "A only", "B only", "McNemar p"],
         [
             _difference_row("Success %", comparison.success, 100.0),
             _difference_row("Safe %", comparison.safe, 100.0),
@@ -174,6 +203,7 @@ def _difference_lines(summary: Mapping[str, Any]) -> list[str]:
 def _difference_row(title: str, figure: Difference, scale: float) -> list[str]:
     return [
         title,
+        str(figure.n),
         f"{scale * figure.a:.2f}",
         f"{scale * figure.b:.2f}",
         f"{scale * figure.difference:+.2f}",

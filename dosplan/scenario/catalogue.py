@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -20,7 +20,8 @@ class ScenarioRef:
     Attributes:
         path: The scenario file.
         id: Benchmark id, with ``@<problem id>`` appended where the file holds several planning
-            problems; the file's stem where it cannot be read.
+            problems; the file's stem where it cannot be read, or the file's path in the source
+            where that stem is taken.
         problem_id: The planning problem, or None where the file holds one only.
     """
 
@@ -33,7 +34,7 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
     """Lists the episodes of a source, in the order of their paths.
 
     A file that is broken is listed too, so that its failure becomes a result and is not lost.
-    XML files of a folder that are something else (solutions) are passed over.
+    Hidden files of a folder and XML files that are something else (solutions) are passed over.
 
     Args:
         source: A ``.xml`` or ``.xml.gz`` file, a folder that is searched with its subfolders, or
@@ -50,16 +51,19 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
     else:
         path = Path(source)
         if path.is_dir():
-            files = sorted(f for f in path.rglob("*.xml*") if f.name.endswith(SUFFIXES))
-            refs = [ref for file in files for ref in _refs(file, others=False)]
+            refs = _folder(path)
         elif path.is_file():
-            refs = list(_refs(path, others=True))
+            refs = _refs(path, others=True) or [ScenarioRef(path, stem(path))]
         else:
             raise ScenarioError(path, 'does not exist; name a file, a folder or "suite"')
     if not refs:
         raise ScenarioError(Path(source), f"holds no scenario ({' or '.join(SUFFIXES)})")
     known: dict[str, Path] = {}
     for ref in refs:
+        if known.get(ref.id) == ref.path:
+            raise ScenarioError(
+                ref.path, f"names planning problem {ref.problem_id} twice; give one another id"
+            )
         if ref.id in known:
             raise ScenarioError(
                 ref.path, f"has the same id, {ref.id}, as {known[ref.id]}; remove one of them"
@@ -73,19 +77,36 @@ def stem(path: Path) -> str:
     return path.name.removesuffix(".gz").removesuffix(".xml")
 
 
-def _refs(path: Path, others: bool) -> Iterator[ScenarioRef]:
+def _folder(folder: Path) -> list[ScenarioRef]:
+    files = sorted(
+        file
+        for file in folder.rglob("*.xml*")
+        if file.name.endswith(SUFFIXES) and not file.name.startswith(".")
+    )
+    found = {file: _refs(file, others=False) for file in files}
+    ids = Counter(ref.id for refs in found.values() if refs is not None for ref in refs)
+    ids.update(stem(file) for file, refs in found.items() if refs is None)
+    listed: list[ScenarioRef] = []
+    for file, refs in found.items():
+        if refs is None:
+            name = stem(file) if ids[stem(file)] == 1 else file.relative_to(folder).as_posix()
+            refs = [ScenarioRef(file, name)]
+        listed.extend(refs)
+    return listed
+
+
+def _refs(path: Path, others: bool) -> list[ScenarioRef] | None:
+    """The episodes of a file, or None where it cannot be read."""
     try:
         tag, benchmark_id, problems = scan(path)
     except ScenarioError:
-        yield ScenarioRef(path, stem(path))
-        return
+        return None
     if tag != "commonRoad" and not others:
-        return
+        return []
     name = benchmark_id or stem(path)
     if len(problems) < 2:
-        yield ScenarioRef(path, name)
-    else:
-        yield from (ScenarioRef(path, f"{name}@{p}", p) for p in problems)
+        return [ScenarioRef(path, name)]
+    return [ScenarioRef(path, f"{name}@{p}", p) for p in problems]
 
 
 def _suite() -> list[ScenarioRef]:

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from dosplan.scenario.road_map import areas, lanelet_cells
+from dosplan.geometry import areas, lanelet_cells
 from dosplan.types import BoolArray, FloatArray, Lanelet, RoadMap
 
 AGAINST: Final = np.cos(np.deg2rad(100.0))
@@ -137,7 +137,7 @@ def _cells(
     chosen = [lanelet for lanelet in road_map.lanelets if lanelet.id in set(near)]
     if not chosen:
         return np.empty(0), np.empty(0)
-    corners = np.concatenate([lanelet_cells(lanelet) for lanelet in chosen])
+    corners = np.concatenate([lanelet_cells(x.left, x.right) for x in chosen])
     direction = np.concatenate([np.diff(lanelet.centre, axis=0) for lanelet in chosen])
     exempt = np.concatenate([_repeat(lanelet, always) for lanelet in chosen])
     nearest = cKDTree(path[:-1]).query(corners.mean(axis=1))[1]

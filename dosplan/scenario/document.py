@@ -22,7 +22,7 @@ VERSIONS: Final = ("2018b", "2020a")
 SUFFIXES: Final = (".xml", ".xml.gz")
 MAX_BYTES: Final = 512 * 1024 * 1024
 
-_NOT_FINITE: Final = re.compile(rb">\s*[+-]?(?:nan|inf|infinity)\s*<", re.IGNORECASE)
+_NOT_FINITE: Final = re.compile(r"\s*[+-]?(?:nan|inf|infinity)\s*", re.IGNORECASE)
 _DOCTYPE: Final = "it has a document type (DOCTYPE), which is refused; remove the declaration"
 
 
@@ -134,7 +134,7 @@ def read_document(path: Path) -> Document:
     # Safe on foreign text: _Builder refuses the declarations that the known attacks need.
     parser = ElementTree.XMLParser(target=_Builder())  # noqa: S314
     root = _parse(path, lambda: ElementTree.fromstring(data, parser=parser))  # noqa: S314
-    problem = _objection(root, data)
+    problem = _objection(root)
     if problem is not None:
         raise ScenarioError(path, problem)
     changed, derived = _complete(path, root)
@@ -144,7 +144,7 @@ def read_document(path: Path) -> Document:
         data=ElementTree.tostring(root) if changed else data,
         derived=derived,
         two_way=frozenset(
-            int(lanelet.get("id", ""))
+            _id(path, lanelet)
             for lanelet in root.findall("lanelet")
             if lanelet.find("userBidirectional") is not None
         ),
@@ -162,12 +162,12 @@ def _parse(path: Path, parse: Callable[[], Any]) -> Any:
         raise ScenarioError(path, f"cannot be used: {error}") from None
 
 
-def _objection(root: ElementTree.Element, data: bytes) -> str | None:
+def _objection(root: ElementTree.Element) -> str | None:
     """What speaks against using the file, or None."""
     version = root.get("commonRoadVersion")
     lanelets = Counter(lanelet.get("id") for lanelet in root.findall("lanelet"))
     repeated = [str(name) for name, times in lanelets.items() if times > 1]
-    not_finite = _NOT_FINITE.search(data)
+    not_finite = [x for x in root.iter() if x.text and _NOT_FINITE.fullmatch(x.text)]
     checks = (
         (root.tag != "commonRoad", f"is a <{root.tag}>, not a CommonRoad scenario"),
         (
@@ -183,9 +183,9 @@ def _objection(root: ElementTree.Element, data: bytes) -> str | None:
             "has set-based predictions; only recorded trajectories can be replayed",
         ),
         (
-            not_finite is not None,
-            f"holds a value that is not a finite number "
-            f"(byte {not_finite.start() if not_finite else 0}); correct it",
+            bool(not_finite),
+            f"holds {len(not_finite)} values that are not finite numbers "
+            f"(first in <{not_finite[0].tag if not_finite else ''}>); correct them",
         ),
     )
     return next((message for applies, message in checks if applies), None)
@@ -212,8 +212,18 @@ def _complete(path: Path, root: ElementTree.Element) -> tuple[bool, dict[int, fr
             states = obstacle.findall("initialState")
             absent = [name for s in states for name in _fill(s, ("orientation", "velocity"))]
             if absent:
-                derived[int(obstacle.get("id", ""))] = frozenset(absent)
+                derived[_id(path, obstacle)] = frozenset(absent)
     return changed or bool(derived), derived
+
+
+def _id(path: Path, element: ElementTree.Element) -> int:
+    text = element.get("id", "")
+    try:
+        return int(text)
+    except ValueError:
+        raise ScenarioError(
+            path, f"has a <{element.tag}> of id '{text}'; give it a whole number"
+        ) from None
 
 
 def _fill(state: ElementTree.Element, tags: tuple[str, ...]) -> list[str]:

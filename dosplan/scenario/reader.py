@@ -100,10 +100,12 @@ def _scenario(
             f"an episode has 1 to {MAX_STEPS} steps",
         )
     road_map = read_road_map(source.lanelet_network)
+    if not any(lanelet.for_cars for lanelet in road_map.lanelets):
+        raise ScenarioError(ref.path, "has no lanelet for cars; the ego needs one")
     vehicle = VehicleParameters()
     start = _start(problem.initial_state, vehicle)
     centre = vehicle.centre(start)
-    _check_start(ref, road_map, centre)
+    _check_start(ref, road_map, centre, float(start[EGO_VELOCITY]), vehicle)
     name = ref.id or (benchmark_id if len(problems) == 1 else f"{benchmark_id}@{ref.problem_id}")
     route = build_route(
         road_map,
@@ -177,7 +179,19 @@ def _steered(start: FloatArray, route: Route, vehicle: VehicleParameters) -> Flo
     return steered
 
 
-def _check_start(ref: ScenarioRef, road_map: RoadMap, centre: FloatArray) -> None:
+def _check_start(
+    ref: ScenarioRef,
+    road_map: RoadMap,
+    centre: FloatArray,
+    velocity: float,
+    vehicle: VehicleParameters,
+) -> None:
+    if not 0.0 <= velocity <= vehicle.max_velocity:
+        raise ScenarioError(
+            ref.path,
+            f"starts the ego at {velocity:g} m/s; "
+            f"give it an initial velocity from 0 to {vehicle.max_velocity:g} m/s",
+        )
     distance = float(shapely.distance(road_map.drivable, shapely.Point(centre)))
     if not distance <= MAX_START_DISTANCE:
         raise ScenarioError(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import numpy as np
 import shapely
 from shapely.geometry import MultiPolygon, Polygon
 
-from dosplan.types import FloatArray, Lanelet, RoadMap
+from dosplan.geometry import areas, lanelet_polygon
+from dosplan.types import Lanelet, RoadMap
 
 SEAM: Final = 0.05
 """Half the width of the gaps between lanelets that count as road, m.
@@ -17,50 +17,8 @@ Neighbouring lanelets of recorded maps do not share their bounds exactly. Of the
 solutions (71 looked at), 13 leave the plain union of lanelets and none the union with gaps of up
 to 0.04 m closed; the rest of the 0.1 m that is closed here is reserve.
 """
-
-
-def lanelet_cells(lanelet: Lanelet) -> FloatArray:
-    """Quadrilaterals between consecutive pairs of a lanelet's bound points.
-
-    Args:
-        lanelet: A lanelet of P points.
-
-    Returns:
-        (P - 1, 4, 2) corners: left, next left, next right, right, m.
-    """
-    left, right = lanelet.left, lanelet.right
-    return np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)
-
-
-def lanelet_polygon(lanelet: Lanelet) -> Polygon | MultiPolygon:
-    """Area of a lanelet.
-
-    A lanelet whose bounds cross or fold back has no valid outline; its area is then the union of
-    the convex hulls of its cells.
-
-    Args:
-        lanelet: A lanelet.
-
-    Returns:
-        A valid polygon, m.
-    """
-    outline = Polygon(np.concatenate([lanelet.left, lanelet.right[::-1]]))
-    if outline.is_valid and outline.area > 0:
-        return outline
-    return areas(shapely.union_all(shapely.convex_hull(shapely.polygons(lanelet_cells(lanelet)))))
-
-
-def areas(shape: shapely.Geometry) -> Polygon | MultiPolygon:
-    """The polygons of a geometry, without the points and lines that overlays leave behind.
-
-    Args:
-        shape: Any geometry.
-
-    Returns:
-        One polygon, or several as a MultiPolygon (empty where there is none).
-    """
-    parts = [p for p in shapely.get_parts(shape) if isinstance(p, Polygon) and not p.is_empty]
-    return parts[0] if len(parts) == 1 else MultiPolygon(parts)
+_CARS: Final = frozenset({"VEHICLE", "CAR"})
+_NO_CARS: Final = frozenset({"BICYCLE_LANE", "CROSSWALK", "SIDEWALK"})
 
 
 def drivable_area(lanelets: tuple[Lanelet, ...]) -> Polygon | MultiPolygon:
@@ -72,13 +30,16 @@ def drivable_area(lanelets: tuple[Lanelet, ...]) -> Polygon | MultiPolygon:
     Returns:
         The area on which the ego may drive, m.
     """
-    union = shapely.union_all([lanelet_polygon(lanelet) for lanelet in lanelets])
+    union = shapely.union_all([lanelet_polygon(x.left, x.right) for x in lanelets])
     grown = shapely.buffer(union, SEAM, join_style="mitre")
     return areas(shapely.buffer(grown, -SEAM, join_style="mitre"))
 
 
 def read_road_map(network: Any) -> RoadMap:
-    """The map of a commonroad-io lanelet network; links to lanelets it does not hold are dropped.
+    """The map of a commonroad-io lanelet network.
+
+    Links to lanelets that it does not hold are dropped, and so are those between a lanelet for
+    cars and one that is not.
 
     Args:
         network: A ``LaneletNetwork``.
@@ -86,25 +47,38 @@ def read_road_map(network: Any) -> RoadMap:
     Returns:
         The map.
     """
-    known = {lanelet.lanelet_id for lanelet in network.lanelets}
+    for_cars = {lanelet.lanelet_id: _is_for_cars(lanelet) for lanelet in network.lanelets}
+    lanelets = tuple(_lanelet(network, lanelet, for_cars) for lanelet in network.lanelets)
+    return RoadMap(lanelets, drivable_area(lanelets))
+
+
+def _lanelet(network: Any, lanelet: Any, for_cars: dict[int, bool]) -> Lanelet:
+    use = for_cars[lanelet.lanelet_id]
+
+    def alike(names: list[int]) -> tuple[int, ...]:
+        return tuple(name for name in names if for_cars.get(name) is use)
 
     def neighbour(name: int | None, same_direction: bool | None) -> int | None:
-        return name if same_direction and name in known else None
+        return name if same_direction and name is not None and alike([name]) else None
 
-    lanelets = tuple(
-        Lanelet(
-            id=lanelet.lanelet_id,
-            left=lanelet.left_vertices[:, :2],
-            right=lanelet.right_vertices[:, :2],
-            successors=tuple(i for i in lanelet.successor if i in known),
-            predecessors=tuple(i for i in lanelet.predecessor if i in known),
-            left_neighbour=neighbour(lanelet.adj_left, lanelet.adj_left_same_direction),
-            right_neighbour=neighbour(lanelet.adj_right, lanelet.adj_right_same_direction),
-            speed_limit=_speed_limit(network, lanelet),
-        )
-        for lanelet in network.lanelets
+    return Lanelet(
+        id=lanelet.lanelet_id,
+        left=lanelet.left_vertices[:, :2],
+        right=lanelet.right_vertices[:, :2],
+        successors=alike(lanelet.successor),
+        predecessors=alike(lanelet.predecessor),
+        left_neighbour=neighbour(lanelet.adj_left, lanelet.adj_left_same_direction),
+        right_neighbour=neighbour(lanelet.adj_right, lanelet.adj_right_same_direction),
+        speed_limit=_speed_limit(network, lanelet),
+        for_cars=use,
     )
-    return RoadMap(lanelets, drivable_area(lanelets))
+
+
+def _is_for_cars(lanelet: Any) -> bool:
+    """Whether neither the type of a lanelet nor the users it names exclude cars."""
+    users = {user.name for user in lanelet.user_one_way | lanelet.user_bidirectional}
+    types = {kind.name for kind in lanelet.lanelet_type}
+    return types.isdisjoint(_NO_CARS) and (not users or not users.isdisjoint(_CARS))
 
 
 def _speed_limit(network: Any, lanelet: Any) -> float | None:

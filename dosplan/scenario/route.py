@@ -12,10 +12,9 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, Point
 
-from dosplan.geometry import wrap_angle
+from dosplan.geometry import lanelet_polygon, wrap_angle
 from dosplan.scenario.corridor import Corridor
 from dosplan.scenario.path import BEYOND, SPACING, finished_path, raw_path
-from dosplan.scenario.road_map import lanelet_polygon
 from dosplan.types import FloatArray, GoalState, Lanelet, RoadMap, Route
 
 CHANGE_COST: Final = 12.0
@@ -46,9 +45,14 @@ class LaneGraph:
         return list(self.lanelets)
 
     @cached_property
+    def for_cars(self) -> list[int]:
+        """Ids of the lanelets that a route may use."""
+        return [name for name, lanelet in self.lanelets.items() if lanelet.for_cars]
+
+    @cached_property
     def areas(self) -> dict[int, shapely.Geometry]:
         """Areas by id."""
-        return {name: lanelet_polygon(lanelet) for name, lanelet in self.lanelets.items()}
+        return {name: lanelet_polygon(x.left, x.right) for name, x in self.lanelets.items()}
 
     @cached_property
     def tree(self) -> shapely.STRtree:
@@ -64,8 +68,9 @@ class LaneGraph:
     def graph(self) -> nx.DiGraph:
         """Successors at the length of the lanelet, changes of lane at ``CHANGE_COST``."""
         graph = nx.DiGraph()
-        graph.add_nodes_from(self.ids)
-        for name, lanelet in self.lanelets.items():
+        graph.add_nodes_from(self.for_cars)
+        for name in self.for_cars:
+            lanelet = self.lanelets[name]
             for side in neighbours(lanelet):
                 graph.add_edge(name, side, weight=CHANGE_COST)
             for later in lanelet.successors:
@@ -77,9 +82,13 @@ class LaneGraph:
         found = self.tree.query(place, predicate="dwithin", distance=distance)
         return [self.ids[i] for i in sorted(found)]
 
-    def nearest(self, place: shapely.Geometry) -> int:
-        """Id of the lanelet nearest to a place."""
-        return self.ids[int(self.tree.nearest(place))]
+    def near_for_cars(self, place: shapely.Geometry, distance: float) -> list[int]:
+        """The same of the lanelets that a route may use."""
+        return [name for name in self.near(place, distance) if self.lanelets[name].for_cars]
+
+    def nearest_for_cars(self, place: shapely.Geometry) -> int:
+        """Id of the lanelet nearest to a place of those that a route may use."""
+        return min(self.for_cars, key=lambda name: shapely.distance(self.areas[name], place))
 
     def along(self, name: int, point: Point) -> tuple[float, float, float]:
         """Arc length, m, distance, m, and heading, rad, of a lanelet's centre at a point."""
@@ -182,7 +191,7 @@ def _starts(lanes: LaneGraph, point: Point, heading: float) -> list[tuple[float,
 
     Those that run against the ego's heading count only where there is no other.
     """
-    near = lanes.near(point, _START_RADIUS) or [lanes.nearest(point)]
+    near = lanes.near_for_cars(point, _START_RADIUS) or [lanes.nearest_for_cars(point)]
     with_it: list[tuple[float, int, float]] = []
     against_it: list[tuple[float, int, float]] = []
     for name in near:
@@ -204,7 +213,7 @@ def _ends(lanes: LaneGraph, goals: Sequence[GoalState]) -> list[tuple[float, int
     for goal in goals:
         if goal.region is None:
             continue
-        near = lanes.near(goal.region, 0.0)
+        near = lanes.near_for_cars(goal.region, 0.0)
         shares = {n: float(shapely.intersection(lanes.areas[n], goal.region).area) for n in near}
         most = max(shares.values(), default=0.0)
         for name, area in shares.items():

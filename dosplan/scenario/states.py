@@ -7,8 +7,7 @@ from typing import Any, Final
 import numpy as np
 import shapely
 
-from dosplan.geometry import rectangle_corners, to_world
-from dosplan.scenario.road_map import areas
+from dosplan.geometry import areas, rectangle_corners, to_world
 from dosplan.types import FloatArray
 
 CIRCLE_VERTICES: Final = 32

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
@@ -103,6 +104,7 @@ class Writer(GoodPlanner):
 class Burglar(GoodPlanner):
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
         assert observation.states.base is not None
+        observation.states.base.setflags(write=True)
         observation.states.base[..., 0] += 1.0
         return super().compute_plan(observation, occupancy)
 
@@ -247,6 +249,7 @@ class Learner(GoodPredictor):
 class Scribbler(GoodPredictor):
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         assert observation.states.base is not None
+        observation.states.base.setflags(write=True)
         observation.states.base[..., 0] += 1.0
         return super().compute_occupancy(observation)
 
@@ -324,3 +327,18 @@ def test_a_planner_that_cannot_prepare_says_where() -> None:
     found = failures(check_planner(Prepared))
     assert found.keys() == {"plans"}
     assert found["plans"].startswith("raised OSError: no weights (test_conformance.py:")
+
+
+class Leaver(CruisePlanner):
+    """Ends the process, from far below its own code."""
+
+    name = "leaver-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        argparse.ArgumentParser().error("no such option")
+
+
+def test_a_planner_that_exits_fails_at_its_own_line() -> None:
+    line = Leaver.compute_plan.__code__.co_firstlineno + 1
+    message = f"raised SystemExit: 2 (test_conformance.py:{line})"
+    assert failures(check_planner(Leaver)) == {"plans": message}

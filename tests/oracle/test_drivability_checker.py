@@ -78,7 +78,6 @@ def closed_road(source: Any) -> shapely.Geometry:
     return grown.buffer(-SEAM / 2.0, join_style="mitre")
 
 
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # commonroad-io's protobuf
 def test_agrees_with_the_drivability_checker() -> None:
     reason = "install the extra `oracle` to run this"

@@ -11,7 +11,6 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
-import pytest
 import shapely
 
 from dosplan.collision import SWEPT_TOUCH, first_contacts, shape_at
@@ -85,7 +84,6 @@ def deepest_between(scenario: Scenario, centres: FloatArray, start: int, step: i
     return deepest
 
 
-@pytest.mark.slow
 def test_published_solutions_score_success() -> None:
     scored, cutting = 0, {}
     for path in sorted((commonroad_root() / "solutions").glob("*.xml")):

@@ -94,6 +94,31 @@ class FaultyPlanner(Planner):
         return coast(observation)
 
 
+class RandomlyMadePlanner(Planner):
+    """Accelerates as it was made to, at random, from the global generator."""
+
+    name = "randomly-made-v1"
+
+    def __init__(self, *, seed: int = 0) -> None:
+        super().__init__(seed=seed)
+        self.acceleration = float(np.random.uniform(-1.0, 1.0))  # noqa: NPY002
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return coast(observation, self.acceleration)
+
+
+class HangingPlanner(CoastPlanner):
+    """Prints, and hangs in scenario 1."""
+
+    name = "hanging-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        if "_Test-1_" in observation.task.scenario_id:
+            print("hanging", flush=True)
+            time.sleep(3600.0)
+        return coast(observation)
+
+
 class UnbuildablePlanner(CoastPlanner):
     """Cannot be made."""
 

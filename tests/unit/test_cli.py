@@ -15,6 +15,9 @@ from dosplan import __version__, cli
 from dosplan.cli import main
 from dosplan.files import read_json
 from dosplan.report.progress import show_progress
+from dosplan.report.tables import ERRORS_SHOWN, error_lines
+from dosplan.scoring import failed_score
+from dosplan.types import Arm
 from tests.scenes import Goal, Problem, rectangle, write_scenario_xml
 
 FAULTY = Path(__file__).with_name("faulty.py")
@@ -97,7 +100,7 @@ def test_run_writes_the_promised_names(finished: tuple[Path, Path]) -> None:
         assert {
             "n", "success_rate", "safe_rate", "collision_rate", "at_fault_collision_rate",
             "out_of_bounds_rate", "goal_missed_rate", "planner_failure_rate", "velocity",
-            "cycle_ms_p50", "cycle_ms_p99",
+            "cycle_ms_p50", "cycle_ms_p99", "comfortable_rate", "progress", "min_time_to_collision",
         } == summary[arm].keys()  # fmt: skip
         assert summary[arm]["n"] == 2
         assert summary[arm]["success_rate"] == summary[arm]["goal_missed_rate"] == 0.5
@@ -118,11 +121,39 @@ def test_run_prints_the_table_of_a_finished_run(
     assert captured.err == "4 of 4 episodes\n"
 
 
-def test_run_tells_planner_failures_by_its_exit_code(scenes: Path, tmp_path: Path) -> None:
+def test_run_tells_planner_failures_by_its_exit_code_and_on_stderr(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     planner = ["--planner", f"{FAULTY}:UnbuildablePlanner", "--limit", "1", "--with-dos"]
     out = ["--out", str(tmp_path / "run"), "--workers", "1"]
     assert main(["run", str(scenes), *COAST, *planner, *out]) == cli.FAILED
     assert read_json(tmp_path / "run" / "run.json")["config"]["arms"] == ["with_dos"]
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.startswith("1 x RegistryError: planner ")
+    assert line.endswith("OSError: the weights are missing [ZAM_Test-0_1_T-1, with_dos]")
+
+
+def test_each_distinct_error_is_told_once_the_most_frequent_first() -> None:
+    rows = [failed_score(f"s{i}", Arm.WITH_DOS, "ab"[i > 0]) for i in range(3)]
+    assert error_lines(rows) == ["2 x b [s1, with_dos]", "1 x a [s0, with_dos]"]
+    rows = [failed_score("s", Arm.WITH_DOS, str(i)) for i in range(ERRORS_SHOWN + 2)]
+    assert len(error_lines(rows)) == ERRORS_SHOWN + 1
+    assert error_lines(rows)[-1] == "and 2 further errors; the rows hold them all"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="only Linux has such a device")
+def test_a_full_disk_behind_stdout_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "dosplan", "list"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == cli.BAD_INPUT
+    (line,) = done.stderr.splitlines()
+    assert line == "dosplan: error: cannot write to standard output: No space left on device"
 
 
 @pytest.mark.parametrize(
@@ -133,6 +164,12 @@ def test_run_tells_planner_failures_by_its_exit_code(scenes: Path, tmp_path: Pat
         (["run", "--with-dos", "--without-dos"], "not allowed with argument"),
         (["run", "--workers", "many"], "invalid int value: 'many'"),
         (["run", "--workers", "0"], "workers is 0; it must be more than 0"),
+        (["run", "--timeout", "nan"], "episode_timeout is nan; it must be more than 0"),
+        (["run", "--timeout", "inf"], "episode_timeout is inf; it must be more than 0"),
+        (["run", "--timeout", "0"], "episode_timeout is 0.0; it must be more than 0"),
+        (["run", "x" * 5000], "File name too long"),
+        (["run", "{scenes}", *COAST, "--out", "x" * 5000], "File name too long"),
+        (["compare", "x" * 5000], "File name too long"),
         (["run", "no/such/folder"], "no/such/folder"),
         (["run", "{scenes}", "--planner", "mcp"], "did you mean 'mpc'?"),
         (["run", "{scenes}", "--predictor", f"{FAULTY}:SeerPredictor"], "--unranked allows it"),
@@ -252,7 +289,7 @@ def test_compare_shows_and_writes_the_same_figures(
     (comparison,) = read_json(path)["comparisons"]
     assert comparison["n"] == 2
     assert comparison["success"] == {
-        "a": 0.5, "b": 0.5, "difference": 0.0, "low": 0.0, "high": 0.0,
+        "n": 2, "a": 0.5, "b": 0.5, "difference": 0.0, "low": 0.0, "high": 0.0,
         "only_a": 0, "only_b": 0, "p": 1.0,
     }  # fmt: skip
 

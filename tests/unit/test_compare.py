@@ -72,6 +72,7 @@ def test_velocity_is_compared_where_both_drove() -> None:
     b[0] = replace(b[0], steps=0, velocity=0.0)
     result = compare_rows(a, b).velocity
     assert result is not None
+    assert (result.n, compare_rows(a, b).success.n) == (2, 3)
     # Scenarios 1 and 2: 6 and 7 m/s against 8 and 9.
     assert (result.a, result.b, result.difference) == (6.5, 8.5, 2.0)
     assert (result.low, result.high, result.p) == (2.0, 2.0, None)
@@ -116,7 +117,13 @@ def test_other_scenarios_are_refused() -> None:
 
 def _write_run(path: Path, arms: dict[Arm, list[Outcome]]) -> Path:
     n = len(next(iter(arms.values())))
-    manifest = {"scenarios": [f"s{i}" for i in range(n)], "config": {"arms": list(arms)}}
+    manifest = {
+        "scenarios": [f"s{i}" for i in range(n)],
+        "config": {"arms": list(arms)},
+        "planner": "p",
+        "predictor": "q",
+        "versions": {},
+    }
     write_json(path / "run.json", manifest)
     rows = [row for arm, outcomes in arms.items() for row in _rows(outcomes, arm)]
     write_rows(path / "scenarios.jsonl", rows)

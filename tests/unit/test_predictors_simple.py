@@ -193,6 +193,12 @@ def test_growing_circle_is_z_times_t() -> None:
     np.testing.assert_allclose(sets.semi_axes[:, 39], 2.8)
 
 
+def test_growing_circles_leave_room_in_the_next_lane_by_default() -> None:
+    # 0.5 m/s: 2 m after 4 s.
+    sets = GrowingCirclePredictor().predict(seen_at(crowded_scenario().tracks, 40))
+    np.testing.assert_allclose(sets.semi_axes[:, 39], 2.0)
+
+
 def test_error_circle_is_z_times_the_measured_error() -> None:
     observation = seen_at(crowded_scenario().tracks, 40)
     sets = ErrorCirclePredictor(horizon=3, z=1.5, table=CV_TABLE).predict(observation)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -122,9 +122,9 @@ def test_a_row_survives_its_file_with_its_types(tmp_path: Path) -> None:
     ]
     path = tmp_path / "scenarios.jsonl"
     write_rows(path, rows[:1])
-    with path.open("a", encoding="utf-8") as file:
+    with path.open("ab", buffering=0) as file:
         append_row(file, rows[1])
-        assert read_rows(path) == rows  # Flushed before the file is closed.
+        assert read_rows(path) == rows  # Written before the file is closed.
     assert type(read_rows(path)[0].collision_class) is CollisionClass
 
 
@@ -157,6 +157,10 @@ def test_no_file_is_no_rows(tmp_path: Path) -> None:
         row_line(_row(Outcome.SUCCESS)).replace('"success"', '"triumph"').strip(),
         row_line(_row(Outcome.SUCCESS)).replace('"steps": 20, ', "").strip(),
         row_line(_row(Outcome.SUCCESS)).replace('"steps"', '"paces"').strip(),
+        row_line(_row(Outcome.SUCCESS)).replace('"steps": 20', '"steps": "20"').strip(),
+        row_line(_row(Outcome.SUCCESS)).replace('"safe": true', '"safe": null').strip(),
+        row_line(_row(Outcome.SUCCESS)).replace('"velocity": 10.0', '"velocity": NaN').strip(),
+        row_line(_row(Outcome.SUCCESS)).replace('"scenario": "s"', '"scenario": []').strip(),
     ],
 )
 def test_a_line_that_is_no_row_is_named(tmp_path: Path, line: str) -> None:
@@ -173,9 +177,9 @@ def test_a_row_with_nan_is_refused() -> None:
 
 def test_the_summary_counts_every_row() -> None:
     rows = [
-        _row(Outcome.SUCCESS, 12.0),
-        _row(Outcome.SUCCESS, 8.0),
-        _row(Outcome.COLLISION, 6.0, at_fault=True),
+        _row(Outcome.SUCCESS, 12.0, progress=14.0, min_time_to_collision=1.0),
+        _row(Outcome.SUCCESS, 8.0, progress=7.0, min_time_to_collision=2.0),
+        _row(Outcome.COLLISION, 6.0, at_fault=True, comfortable=False),
         _row(Outcome.COLLISION, 6.0, at_fault=False),
         _row(Outcome.OUT_OF_BOUNDS, 4.0),
         _row(Outcome.GOAL_MISSED, 0.0),
@@ -193,6 +197,9 @@ def test_the_summary_counts_every_row() -> None:
         "out_of_bounds_rate": 0.125,
         "goal_missed_rate": 0.125,
         "planner_failure_rate": 0.25,
+        "comfortable_rate": pytest.approx(6.0 / 7.0),  # Of those that drove.
+        "progress": 3.0,  # 21 / 7.
+        "min_time_to_collision": 1.5,  # Of the two that have one.
         "velocity": 6.0,  # 42 / 7: a standing ego counts, one that never drove does not.
         "cycle_ms_p50": 50.0,
         "cycle_ms_p99": 99.0,
@@ -341,16 +348,39 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         write_text(tmp_path / "file" / "summary.md", "")
 
 
-class _FullDisk(io.StringIO):
-    name = "scenarios.jsonl"
-
-    def flush(self) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
+FULL = Path("/dev/full")
 
 
-def test_a_row_that_does_not_fit_the_disk_is_an_error() -> None:
-    with pytest.raises(FileError, match=r"cannot write scenarios\.jsonl: No space left"):
-        append_row(_FullDisk(), _row(Outcome.SUCCESS))
+@pytest.mark.skipif(not FULL.exists(), reason="only Linux has a device that is always full")
+def test_a_row_that_does_not_fit_the_disk_is_an_error_that_closing_does_not_hide() -> None:
+    with (
+        pytest.raises(FileError, match=r"cannot write /dev/full: No space left"),
+        FULL.open("ab", buffering=0) as file,
+    ):
+        append_row(file, _row(Outcome.SUCCESS))
+
+
+class _Sipping(io.BytesIO):
+    """Takes seven bytes at a time, as a write without a buffer may."""
+
+    def write(self, data: Any) -> int:
+        return super().write(data[:7])
+
+
+def test_a_row_that_is_taken_in_parts_is_whole() -> None:
+    file = _Sipping()
+    append_row(file, _row(Outcome.SUCCESS))
+    assert file.getvalue().decode() == row_line(_row(Outcome.SUCCESS))
+
+
+def test_a_long_id_has_a_file_of_its_own(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    long = "ä" * 240  # Six characters each when quoted.
+    paths = [folder.recording(name, Arm.WITH_DOS) for name in (long, long + "x", "ä" * 33)]
+    assert len(set(paths)) == 3
+    for path in paths:
+        save_recording(path, _episode(cycles=1), VEHICLE)
+    assert "-" not in paths[2].name  # 198 characters are short enough.
 
 
 @pytest.mark.parametrize("content", [None, "{", "\xff"])
@@ -365,13 +395,34 @@ def test_json_that_cannot_be_read_is_named(tmp_path: Path, content: str | None) 
 def test_a_run_that_is_not_finished_is_not_read(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="is not a run folder"):
         read_run(tmp_path)
-    manifest = {"scenarios": ["s", "t"], "config": {"arms": ["with_dos"]}}
+    manifest = {
+        "scenarios": ["s", "t"],
+        "config": {"arms": ["with_dos"]},
+        "planner": "p",
+        "predictor": "q",
+        "versions": {},
+    }
     write_json(tmp_path / "run.json", manifest)
     write_rows(tmp_path / "scenarios.jsonl", [_row(Outcome.SUCCESS)])
     with pytest.raises(FileError, match="lacks 1 episodes: run the same command again"):
         read_run(tmp_path)
+    # As many rows as episodes, but not theirs.
     write_rows(tmp_path / "scenarios.jsonl", [_row(Outcome.SUCCESS), _row(Outcome.SUCCESS)])
-    assert read_run(tmp_path)[0] == manifest
+    with pytest.raises(FileError, match="lacks 1 episodes"):
+        read_run(tmp_path)
+    both = [_row(Outcome.SUCCESS), _row(Outcome.SUCCESS, scenario="t")]
+    write_rows(tmp_path / "scenarios.jsonl", [*both, both[0]])
+    with pytest.raises(FileError, match="holds 1 rows too many"):
+        read_run(tmp_path)
+    write_rows(tmp_path / "scenarios.jsonl", both)
+    assert read_run(tmp_path) == (manifest, both)
+
+
+@pytest.mark.parametrize("content", [{}, [], {"config": {"arms": ["both"]}}, 3])
+def test_a_run_json_of_another_kind_is_named(tmp_path: Path, content: Any) -> None:
+    write_json(tmp_path / "run.json", content)
+    with pytest.raises(FileError, match=r"is not a run\.json of this version"):
+        read_run(tmp_path)
 
 
 def test_the_revision_is_that_of_the_source_itself(tmp_path: Path) -> None:

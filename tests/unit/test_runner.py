@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dosplan import runner
@@ -23,6 +24,7 @@ from dosplan.registry import RegistryError
 from dosplan.results import RunFolder, read_rows
 from dosplan.runner import RunConfig, RunError, drive_episode, run
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios
+from dosplan.scoring import failed_score
 from dosplan.types import Arm, Outcome, Score
 from tests.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
@@ -103,8 +105,9 @@ def test_every_fault_of_a_worker_becomes_a_row_and_the_rest_goes_on(
         "the worker process ended with exit code 3",
         "the worker process was killed by SIGSEGV",
         "timed out after 6 s",
-        "SystemExit: enough",
+        errors[5],
     ]
+    assert str(errors[5]).startswith("planner faulty-v1: SystemExit: enough (faulty.py:")
     assert all(row.outcome is Outcome.PLANNER_FAILURE for row in rows if row.error is not None)
     summary = read_json(folder.summary)
     assert summary["with_dos"]["n"] == 6
@@ -180,6 +183,7 @@ def test_one_arm_alone_has_no_comparison(scenes: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
+        ({"workers": 1, "replan_every": 2}, "replan_every"),
         ({"seed": 1}, "seed"),
         ({"limit": 2}, "limit"),
         ({"planner": f"{FAULTY}:SlowPlanner"}, "planner"),
@@ -197,6 +201,47 @@ def test_another_configuration_overwrites_nothing(
         run(replace(config, **change))
     assert RunFolder(config.out).manifest.read_bytes() == before
     assert [path.name for path in config.out.iterdir()] == ["run.json"]
+
+
+@pytest.mark.parametrize("changed", ["planner.py", "scenes/ZAM_Test-0_1_T-1.xml"])
+def test_other_content_of_the_same_files_is_another_run(
+    scenes: Path, tmp_path: Path, changed: str
+) -> None:
+    shutil.copy(FAULTY, tmp_path / "planner.py")
+    shutil.copytree(scenes, tmp_path / "scenes")
+    config = _config(tmp_path / "run", tmp_path / "scenes", limit=1)
+    config = replace(config, planner=f"{tmp_path / 'planner.py'}:CoastPlanner")
+    refs = find_scenarios(config.source)[:1]
+    runner._open_folder(RunFolder(config.out), runner._manifest(config, refs))
+    with (tmp_path / changed).open("a") as file:
+        file.write("\n")
+    with pytest.raises(RunError, match="another content of its planner, predictor or scenario"):
+        run(config)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_the_same_source_by_another_path_is_the_same_run(scenes: Path, tmp_path: Path) -> None:
+    config = _config(tmp_path / "run", scenes, limit=1)
+    text = run(config).rows.read_text()
+    again = run(replace(config, source=f"{scenes}/../{scenes.name}/"))
+    assert again.rows.read_text() == text
+
+
+@pytest.mark.usefixtures("in_process")
+def test_an_episode_whose_file_is_gone_is_driven_again(scenes: Path, tmp_path: Path) -> None:
+    config = _config(tmp_path / "run", scenes, limit=1)
+    folder = run(config)
+    recording = folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS)
+    recording.unlink()
+    run(config)
+    assert recording.is_file()
+
+
+@pytest.mark.parametrize("content", ["{}", "[]", '{"config": 3}'])
+def test_a_run_json_of_another_kind_is_named(scenes: Path, tmp_path: Path, content: str) -> None:
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(FileError, match=r"run\.json is not a run\.json of this version"):
+        run(_config(tmp_path, scenes))
 
 
 def test_a_folder_that_holds_something_else_is_left_alone(scenes: Path, tmp_path: Path) -> None:
@@ -243,6 +288,8 @@ def test_bad_input_is_refused_before_a_folder_is_made(
         {"limit": 0},
         {"replan_every": 0},
         {"episode_timeout": 0.0},
+        {"episode_timeout": float("nan")},
+        {"episode_timeout": float("inf")},
         {"seed": -1},
         {"arms": ()},
         {"arms": (Arm.WITH_DOS, Arm.WITH_DOS)},
@@ -280,12 +327,50 @@ def test_a_failed_plugin_is_made_anew(scenes: Path, tmp_path: Path) -> None:
         ("FaultyPlanner", "SystemExit: enough"),
     ],
 )
-def test_what_a_plugin_raises_is_in_the_row(
+def test_what_a_plugin_raises_is_in_the_row_and_its_traceback_in_a_file(
     scenes: Path, tmp_path: Path, planner: str, message: str
 ) -> None:
     row = drive_episode(find_scenarios(scenes)[5], Arm.WITH_DOS, _config(tmp_path, scenes, planner))
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert message in str(row.error)
+    trace = RunFolder(tmp_path).traceback(row.scenario, row.arm).read_text()
+    assert trace.startswith("Traceback")
+    assert message.split(": ")[-1] in trace
+
+
+def test_a_row_that_cannot_be_written_becomes_one_that_can(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad = replace(failed_score("s", Arm.WITH_DOS, ""), velocity=float("nan"))
+    monkeypatch.setattr(runner, "score", lambda *_: bad)
+    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes))
+    assert "ValueError: Out of range float values" in str(row.error)
+
+
+def test_an_episode_that_does_not_fit_its_file_is_a_row(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def save(*_: object) -> None:
+        raise TypeError("a report of words")
+
+    monkeypatch.setattr(runner, "save_recording", save)
+    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes))
+    assert (row.outcome, row.error) == (
+        Outcome.PLANNER_FAILURE,
+        "TypeError: a report of words",
+    )
+
+
+def test_rows_do_not_depend_on_what_was_drawn_before_a_plugin_was_made(
+    scenes: Path, tmp_path: Path
+) -> None:
+    ref, config = find_scenarios(scenes)[0], _config(tmp_path, scenes, "RandomlyMadePlanner")
+    velocities = set()
+    for draws in (0, 5):
+        runner._plugins.cache_clear()
+        np.random.uniform(size=draws)  # noqa: NPY002
+        velocities.add(drive_episode(ref, Arm.WITH_DOS, config).velocity)
+    assert len(velocities) == 1
 
 
 def test_a_broken_scenario_file_is_a_row(scenes: Path, tmp_path: Path) -> None:
@@ -324,13 +409,15 @@ def test_a_pool_that_gets_nothing_done_is_given_up(
         next(rows)
 
 
-def _start(out: Path, scenes: Path) -> subprocess.Popen[str]:
-    arguments = ["run", str(scenes), "--planner", f"{FAULTY}:SlowPlanner", "--workers", "1"]
+def _start(
+    out: Path, scenes: Path, planner: str = "SlowPlanner", rows: int = 1
+) -> subprocess.Popen[str]:
+    arguments = ["run", str(scenes), "--planner", f"{FAULTY}:{planner}", "--workers", "1"]
     arguments += ["--predictor", f"{FAULTY}:StillPredictor", "--limit", "3", "--out", str(out)]
     command = [sys.executable, "-m", "dosplan", *arguments]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60.0
-    while not (out / "scenarios.jsonl").is_file() or not read_rows(out / "scenarios.jsonl"):
+    while len(read_rows(out / "scenarios.jsonl")) < rows:
         assert process.poll() is None, process.stderr and process.stderr.read()
         assert time.monotonic() < deadline, "no row appeared"
         time.sleep(0.05)
@@ -359,10 +446,25 @@ def test_a_run_that_is_killed_resumes_and_loses_nothing(scenes: Path, tmp_path: 
     assert not list(out.rglob(".*"))  # No half-written file is left.
 
 
-def test_ctrl_c_stops_quickly_and_says_how_to_go_on(scenes: Path, tmp_path: Path) -> None:
+def test_workers_end_with_a_runner_that_is_killed_and_print_to_stderr(
+    scenes: Path, tmp_path: Path
+) -> None:
+    process = _start(tmp_path / "run", scenes, "HangingPlanner", rows=2)
+    time.sleep(0.5)  # The worker hangs in the third episode now.
+    process.kill()
+    # The pipes end when the last process that holds them does: an orphan would keep them open.
+    shown, complaint = process.communicate(timeout=20)
+    assert shown == ""
+    assert "hanging" in complaint
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_stops_quickly_and_says_how_to_go_on(
+    scenes: Path, tmp_path: Path, stop: signal.Signals
+) -> None:
     out = tmp_path / "run"
     process = _start(out, scenes)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(stop)
     _, complaint = process.communicate(timeout=20)
     assert process.returncode == 130
     assert complaint.splitlines()[-1] == (

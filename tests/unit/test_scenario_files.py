@@ -237,6 +237,21 @@ BAD = {
     ),
     "far start": scenario_xml(scenes.straight_road(), problems=[Problem(start=(90.0, 40.0, 0, 5))]),
     "no start velocity": re.sub(r"(<planningProblem.*?)<velocity>.*?</velocity>", r"\1", GOOD),
+    "reversing start": scenario_xml(
+        scenes.straight_road(), problems=[Problem(start=(10.0, 0.0, 0.0, -0.1))]
+    ),
+    "start beyond top speed": scenario_xml(
+        scenes.straight_road(), problems=[Problem(start=(10.0, 0.0, 0.0, 50.9))]
+    ),
+    "no lane for cars": scenario_xml(
+        [dataclasses.replace(x, kind="sidewalk") for x in scenes.straight_road()]
+    ),
+    "id of a two-way lanelet": scenario_xml(
+        [dataclasses.replace(x, bidirectional=True) for x in scenes.straight_road()]
+    ).replace('<lanelet id="100"', '<lanelet id="one"'),
+    "id of a user without heading": scenario_xml(
+        scenes.straight_road(), [User(7, [(50.0, 0.0, None, 5.0)] * 5)]
+    ).replace('<dynamicObstacle id="7"', '<dynamicObstacle id=""'),
     "goal before start": scenario_xml(scenes.straight_road(), problems=[Problem(start_step=60)]),
     "endless": scenario_xml(scenes.straight_road(), problems=[Problem(goals=(Goal(0, 10**8),))]),
     "goal on no lanelet": scenario_xml(
@@ -261,6 +276,26 @@ def test_bad_files_are_refused_in_one_line_and_still_listed(tmp_path: Path, name
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
     assert "\n" not in message
+
+
+@pytest.mark.parametrize("velocity", [0.0, 50.8])
+def test_starts_at_the_limits_are_taken(tmp_path: Path, velocity: float) -> None:
+    problem = Problem(start=(10.0, 0.0, 0.0, velocity))
+    assert loaded(tmp_path, problems=[problem]).task.start[3] == velocity
+
+
+@pytest.mark.parametrize("value", ["NaN", " -inf\n", "nan<!-- a remark -->", "<!-- x -->Infinity"])
+def test_a_value_that_is_not_finite_is_named(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "bad.xml"
+    path.write_text(GOOD.replace("<x>50.0</x>", f"<x>{value}</x>"))
+    with pytest.raises(ScenarioError, match=r"not finite numbers \(first in <x>\)"):
+        load_scenario(path)
+
+
+def test_a_comment_may_say_what_it_likes(tmp_path: Path) -> None:
+    path = tmp_path / "good.xml"
+    path.write_text(GOOD.replace("<lanelet ", "<!-- was <x>NaN</x> --><lanelet ", 1))
+    assert load_scenario(path).tracks.ids.tolist() == [7]
 
 
 def test_bad_compression(tmp_path: Path) -> None:

@@ -10,10 +10,10 @@ import pytest
 import shapely
 from shapely.geometry import LineString, Point
 
-from dosplan.geometry import rectangle_corners, wrap_angle
+from dosplan.geometry import lanelet_polygon, rectangle_corners, wrap_angle
 from dosplan.scenario import load_scenario
 from dosplan.scenario.corridor import OFF_ROAD, Corridor
-from dosplan.scenario.road_map import drivable_area, lanelet_polygon
+from dosplan.scenario.road_map import drivable_area
 from dosplan.scenario.route import build_route
 from dosplan.types import FloatArray, GoalState, IntArray, Lanelet, RoadMap, Route, Scenario
 from dosplan.vehicle import VehicleParameters
@@ -124,6 +124,46 @@ def test_oncoming_lane_is_not_free_but_lanes_in_the_same_direction_are() -> None
         two_way=frozenset({102}),
     )
     np.testing.assert_allclose(free.left[inside], 8.75, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("special", "used"),
+    [
+        ({}, True),
+        ({"kind": "busLane", "user": "car"}, True),
+        ({"user": "vehicle"}, True),
+        ({"user": "bicycle"}, False),
+        ({"user": "pedestrian"}, False),
+        ({"kind": "bicycleLane"}, False),
+        ({"kind": "sidewalk"}, False),
+        ({"kind": "crosswalk"}, False),
+    ],
+)
+def test_no_route_leads_over_a_lane_that_is_not_for_cars(
+    tmp_path: Path, special: dict[str, str], used: bool
+) -> None:
+    """The goal is in the right lane, the start in the left one."""
+    right, left = scenes.straight_road(lanes=2)
+    lanes = [replace(right, **special), left]  # type: ignore[arg-type]
+    goal = scenes.Goal(position=scenes.rectangle(10.0, 3.0, 60.0, 0.0))
+    problem = scenes.Problem(start=(10.0, 3.5, 0.0, 10.0), goals=(goal,))
+    path = scenes.write_scenario_xml(tmp_path / "a.xml", lanes, problems=[problem])
+    scenario = load_scenario(path)
+    assert scenario.task.route.lanelet_ids == ((101, 100) if used else (101,))
+    by_id = {lanelet.id: lanelet for lanelet in scenario.road_map.lanelets}
+    assert by_id[101].right_neighbour == (100 if used else None)
+    assert by_id[100].left_neighbour == (101 if used else None)
+    assert by_id[100].for_cars == used
+    # Footways are part of the drivable area all the same.
+    assert scenario.road_map.drivable.area == pytest.approx(200.0 * 7.0)
+
+
+def test_a_start_on_a_footway_takes_the_nearest_lane_for_cars(tmp_path: Path) -> None:
+    right, left = scenes.straight_road(lanes=2)
+    problem = scenes.Problem(start=(10.0, 0.0, 0.0, 10.0))
+    lanes = [replace(right, kind="sidewalk"), left]
+    path = scenes.write_scenario_xml(tmp_path / "a.xml", lanes, problems=[problem])
+    assert load_scenario(path).task.route.lanelet_ids == (101,)
 
 
 def test_bounds_do_not_pass_a_thin_median() -> None:
@@ -246,7 +286,7 @@ def test_seams_and_crossed_bounds() -> None:
     assert road_map([lanes[0], wide]).drivable.geom_type == "MultiPolygon"
     x = np.array([0.0, 10.0, 20.0])
     crossed = Lanelet(1, np.stack([x, [2, 2, -1]], axis=1), np.stack([x, [0, 0, 1]], axis=1))
-    area = lanelet_polygon(crossed)
+    area = lanelet_polygon(crossed.left, crossed.right)
     assert area.is_valid
     assert shapely.contains_xy(area, [5.0, 19.0], [1.0, 0.0]).all()
 

@@ -149,6 +149,28 @@ def test_cycle_times_and_fallbacks() -> None:
     assert empty.cycle_ms_p99 is None
 
 
+def test_cycles_after_a_contact_and_what_failed_then_are_not_of_the_drive() -> None:
+    # As above, the contact is on the way to step 26: cycles 0 to 25 led to it.
+    x = VEHICLE.rear_to_centre + 30.0
+    late = np.where(np.arange(30) < 26, 0.010, 5.0)
+    drive_ = replace(
+        episode(holding(30), EpisodeEnd.PLANNER_FAILURE),
+        predict_seconds=np.zeros(30),
+        plan_seconds=late,
+        plans=(plan("previous"), *(plan() for _ in range(25)), *(plan("brake") for _ in range(4))),
+        occupancies=(NOBODY,) * 30,
+        cycle_steps=np.arange(30),
+        error="planner x: ValueError",
+    )
+    hit = score(straight_scenario(steady_tracks([[x, 0.0, 0.0, 0.0]])), drive_, VEHICLE)
+    assert hit.collision_step == 26
+    assert (hit.fallback_cycles, hit.error) == (1, None)
+    assert hit.cycle_ms_p99 == pytest.approx(10.0)
+    free = score(straight_scenario(), drive_, VEHICLE)
+    assert (free.fallback_cycles, free.error) == (5, "planner x: ValueError")
+    assert free.cycle_ms_p99 == pytest.approx(5000.0)
+
+
 def test_an_error_is_kept() -> None:
     failed = replace(episode(holding(5), EpisodeEnd.PLANNER_FAILURE), error="no plan")
     row = score(straight_scenario(), failed, VEHICLE)

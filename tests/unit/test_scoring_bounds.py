@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from dosplan.bounds import HAIRLINE, outside
 from dosplan.fault import in_several_lanes
-from dosplan.geometry import rectangle_corners
+from dosplan.geometry import lanelet_polygon, rectangle_corners
 from dosplan.types import Lanelet, RoadMap
 
 SIZE = (4.0, 2.0)
@@ -107,3 +107,15 @@ def test_a_crossing_lane_that_holds_the_ego_is_enough() -> None:
 def test_a_corner_beside_every_lane_is_left_out() -> None:
     assert not in_several_lanes(np.array([20.0, 1.01, 0.0]), SIZE, ROAD)
     assert not in_several_lanes(np.array([20.0, 30.0, 0.0]), SIZE, ROAD)
+
+
+def test_a_lanelet_whose_bounds_cross_has_the_area_that_the_road_has() -> None:
+    # Its second cell is 20 m long and its bounds cross in the middle, at x = 40; the outline is a
+    # bow tie there, 0.8 m wide at the ego's front. The hull of the cell holds all of the ego.
+    left = np.array([[0.0, 2.0], [30.0, 2.0], [50.0, -2.0]])
+    crossed = Lanelet(1, left, left * [1.0, -1.0])
+    area = lanelet_polygon(crossed.left, crossed.right)
+    assert area.equals(shapely.box(0.0, -2.0, 50.0, 2.0))
+    beside = lane(2, (37.0, 50.0), (-2.0, 2.0))
+    roads = RoadMap((crossed, beside), area)
+    assert not in_several_lanes(np.array([36.0, 0.0, 0.0]), SIZE, roads)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import traceback
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -240,6 +242,32 @@ def test_a_planner_that_raises_ends_the_episode_and_keeps_what_was_driven() -> N
     assert episode.error.startswith("planner raising-v1: RuntimeError: no way out (")
     assert "(test_simulation.py:" in episode.error
     assert "\n" not in episode.error
+
+
+class _ExitingPlanner(ConstantPlanner):
+    """Calls something that wants to end the process."""
+
+    name = "exiting-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        argparse.ArgumentParser().error("no such option")
+
+
+def test_a_plugin_that_exits_is_blamed_at_its_own_line_and_its_traceback_is_handed_on() -> None:
+    caught: list[BaseException] = []
+    episode = run_episode(
+        straight_scenario(),
+        _ExitingPlanner(),
+        NonePredictor(),
+        Arm.WITH_DOS,
+        on_failure=caught.append,
+    )
+    assert episode.end is EpisodeEnd.PLANNER_FAILURE
+    line = _ExitingPlanner.compute_plan.__code__.co_firstlineno + 1
+    assert episode.error == f"planner exiting-v1: SystemExit: 2 (test_simulation.py:{line})"
+    (error,) = caught
+    assert isinstance(error, SystemExit)
+    assert "argparse.py" in "".join(traceback.format_exception(error))
 
 
 @pytest.mark.parametrize(

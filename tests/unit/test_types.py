@@ -17,6 +17,7 @@ from dosplan.types import (
     Plan,
     PlanningTask,
     ShapeError,
+    SolveReport,
     SolveStatus,
     Tracks,
 )
@@ -28,7 +29,38 @@ def test_arrays_are_read_only_and_the_given_ones_stay_writable() -> None:
     plan = Plan(states=states, inputs=np.zeros((2, 2)))
     with pytest.raises(ValueError, match="read-only"):
         plan.states[0, 0] = 1.0
-    states[0, 0] = 1.0  # The view is frozen, not its owner's array.
+    with pytest.raises(ValueError, match="WRITEABLE"):
+        plan.states.setflags(write=True)
+    # A planner that uses its buffer again does not rewrite what was recorded.
+    states[0, 0] = 1.0
+    assert plan.states[0, 0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("status", "solved"),
+        ("iterations", 2.0),
+        ("iterations", -1),
+        ("iterations", True),
+        ("seconds", np.nan),
+        ("seconds", "fast"),
+        ("slack", np.inf),
+        ("active_ids", [1]),
+        ("active_ids", (1.5,)),
+        ("fallback", True),
+    ],
+)
+def test_report_names_the_field_that_is_no_such_thing(field: str, value: object) -> None:
+    with pytest.raises(ShapeError, match=rf"SolveReport\.{field} is .*, expected"):
+        SolveReport(**{field: value})  # type: ignore[arg-type]
+
+
+def test_report_takes_the_numbers_of_numpy_and_a_plan_takes_only_reports() -> None:
+    report = SolveReport(SolveStatus.SOLVED, np.int64(3), np.float64(0.1), 0, (np.int64(7),), "x")  # type: ignore[arg-type]
+    assert Plan(np.zeros((2, 5)), np.zeros((1, 2)), report).report is report
+    with pytest.raises(ShapeError, match=r"Plan\.report is None, expected a SolveReport"):
+        Plan(np.zeros((2, 5)), np.zeros((1, 2)), None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,12 @@ states = st.builds(
 inputs = st.builds(lambda *u: np.array(u), st.floats(-3.0, 3.0), st.floats(-30.0, 30.0))
 
 
+def lateral(state: FloatArray) -> float:
+    """Lateral acceleration of the rear axle, m/s2."""
+    turned = math.tan(state[EGO_STEERING])
+    return float(state[EGO_VELOCITY] ** 2 * turned / VEHICLE.wheelbase)
+
+
 def drive(state: FloatArray, u: FloatArray, seconds: float, dt: float) -> FloatArray:
     for _ in range(round(seconds / dt)):
         state = VEHICLE.step(state, u, dt)
@@ -121,10 +127,46 @@ def test_what_actuators_deliver_stays_within_every_limit(state: FloatArray, u: F
     assert abs(clipped[0]) <= VEHICLE.max_steering_rate + 1e-9
     assert abs(after[EGO_STEERING]) <= VEHICLE.max_steering + 1e-9
     assert -1e-9 <= after[EGO_VELOCITY] <= VEHICLE.max_velocity + 1e-9
-    lateral = state[EGO_VELOCITY] ** 2 * math.tan(state[EGO_STEERING]) / VEHICLE.wheelbase
-    if abs(lateral) <= VEHICLE.max_acceleration:
-        assert math.hypot(lateral, clipped[1]) <= VEHICLE.max_acceleration + 1e-9
+    if abs(lateral(state)) <= VEHICLE.max_acceleration:
+        assert math.hypot(lateral(state), clipped[1]) <= VEHICLE.max_acceleration + 1e-9
+        assert abs(lateral(after)) <= VEHICLE.max_acceleration + 1e-6
+    else:
+        assert clipped[1] == 0.0  # All grip is used up.
+        assert abs(lateral(after)) <= abs(lateral(state))
     np.testing.assert_allclose(VEHICLE.clip_input(state, clipped, 0.1), clipped, atol=1e-9)
+
+
+def test_grip_limits_how_far_the_wheels_turn() -> None:
+    # At 20 m/s, 11.5 m/s2 are reached at atan(11.5 * 2.579 / 400) = 0.074 rad.
+    state = np.array([0.0, 0.0, 0.0, 20.0, 0.0])
+    for _ in range(10):
+        state = VEHICLE.step(state, VEHICLE.clip_input(state, np.array([0.4, 0.0]), 0.1), 0.1)
+    assert state[EGO_STEERING] == pytest.approx(0.074, abs=1e-3)
+    assert lateral(state) == pytest.approx(VEHICLE.max_acceleration)
+    # Half of it leaves sqrt(3) / 2 of the circle to the brakes, and none is left at all of it.
+    half = np.array([0.0, 0.0, math.atan(0.5 * math.tan(state[EGO_STEERING])), 20.0, 0.0])
+    hard = VEHICLE.clip_input(half, np.array([0.0, -30.0]), 0.1)
+    np.testing.assert_allclose(hard, [0.0, -math.sqrt(0.75) * 11.5], atol=1e-6)
+    for asked in (-30.0, 30.0):
+        _, acceleration = VEHICLE.clip_input(state, np.array([0.0, asked]), 0.1)
+        assert acceleration == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("asked", [-0.4, 0.0, 0.4])
+def test_wheels_beyond_the_grip_go_back_at_the_full_rate(asked: float) -> None:
+    # v^2 tan(delta) / l_wb = 400 * 0.309 / 2.579 = 48 m/s2.
+    for side in (1.0, -1.0):
+        state = np.array([0.0, 0.0, side * 0.3, 20.0, 0.0])
+        assert abs(lateral(state)) == pytest.approx(48.0, abs=0.1)
+        u = VEHICLE.clip_input(state, np.array([asked, -30.0]), 0.1)
+        np.testing.assert_allclose(u, [-side * VEHICLE.max_steering_rate, 0.0])
+
+
+def test_nobody_accelerates_into_a_bend_beyond_its_speed() -> None:
+    # A radius of 10 m is good for sqrt(11.5 * 10) = 10.724 m/s; 10.5 m/s are driven.
+    state = np.array([0.0, 0.0, math.atan(VEHICLE.wheelbase / 10.0), 10.5, 0.0])
+    u = VEHICLE.clip_input(state, np.array([0.0, 11.5]), 0.1)
+    assert VEHICLE.step(state, u, 0.1)[EGO_VELOCITY] == pytest.approx(math.sqrt(115.0))
 
 
 def test_braking_stops_and_does_not_reverse() -> None:

@@ -44,7 +44,7 @@ EGO_COLOUR: Final = "#d7191c"
 GOAL_COLOUR: Final = "#1a9641"
 _ROAD, _MARKING, _KERB = "#e9e9e6", "#ffffff", "#9b9b95"
 _INK = "#222222"
-_MARGIN = 22.0
+_MARGIN = 30.0
 _TRAIL = 10
 _BAR = 20.0
 
@@ -223,7 +223,14 @@ def _set_view(axes: Axes, scenario: Scenario) -> None:
     start, level = left + 0.04 * reach, bottom + 0.05 * reach
     axes.plot([start, start + _BAR], [level, level], color=_INK, linewidth=1.5, zorder=9)
     axes.text(
-        start + 0.5 * _BAR, level, f"{_BAR:.0f} m", ha="center", va="bottom", size=7, zorder=9
+        start + 0.5 * _BAR,
+        level,
+        f"{_BAR:.0f} m",
+        ha="center",
+        va="bottom",
+        size=7,
+        zorder=9,
+        clip_on=True,
     )
 
 

@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet --constr
 WORKERS ?= $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
 RUN_ARGS ?=
 
-.PHONY: run test test-all bench lint clean
+.PHONY: run test test-all suite-check bench lint clean
 
 run: $(VENV)/.run
 	$(BIN)/dosplan run --workers $(WORKERS) $(RUN_ARGS)
@@ -17,6 +17,10 @@ test: $(VENV)/.dev
 test-all: $(VENV)/.dev
 	$(PIP) --editable ".[suite]"
 	$(BIN)/python -m pytest
+
+suite-check: $(VENV)/.dev
+	$(PIP) --editable ".[suite]"
+	$(BIN)/python -m pytest tests/unit/test_suite_files.py tests/oracle/test_suite_*.py
 
 bench: $(VENV)/.dev
 	$(BIN)/python tests/bench.py

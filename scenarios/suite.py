@@ -1,4 +1,4 @@
-"""Builds the embedded scenario suite: ``python scenarios/suite.py --seed 1 --count 12``.
+"""Builds the embedded scenario suite: ``python scenarios/suite.py --seed 1``.
 
 The same seed gives the same bytes, whatever the folder, the number of processes and the hash
 seed. Needs the extra ``dosplan[suite]`` (SUMO).
@@ -30,9 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description="Build the embedded scenario suite.")
     parser.add_argument("--seed", type=int, default=1, help="seed of the suite (default: 1)")
-    parser.add_argument("--count", type=int, default=12, help="number of scenarios (default: 12)")
+    parser.add_argument("--count", type=int, default=150, help="number of scenarios (default: 150)")
     parser.add_argument(
-        "--out", type=Path, default=HERE, help="folder for manifest.csv and files/ (default: here)"
+        "--out", type=Path, default=HERE, help="folder for what is made (default: here)"
     )
     parser.add_argument(
         "--split",
@@ -57,29 +57,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def build_suite(seed: int, count: int, out: Path, split: str, jobs: int) -> None:
-    """Builds scenarios and their manifest.
+    """Builds scenarios, their manifest and the table of their recorded drives.
 
     Args:
         seed: Seed of the suite.
         count: Number of scenarios.
-        out: Folder for ``manifest.csv`` and ``files/``.
+        out: Folder for ``manifest.csv``, ``drives.csv.gz`` and ``files/``.
         split: ``suite`` or ``train``.
         jobs: Number of processes.
     """
-    from suitegen.build import Place, build
+    from suitegen.build import Place, build, drives_csv
 
     places = [Place(split, index) for index in range(count)]
     (out / "files").mkdir(parents=True, exist_ok=True)
-    rows = []
+    suite = []
     with ProcessPoolExecutor(jobs) as pool:
         for built in pool.map(partial(build, seed=seed), places):
             (out / built.row["file"]).write_bytes(built.data)
-            rows.append(built.row)
+            suite.append(built)
             print(f"{built.row['id']}  {len(built.data) / 1000:.0f} kB", flush=True)
+    (out / "drives.csv.gz").write_bytes(drives_csv(suite))
     with (out / "manifest.csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, fieldnames=list(rows[0]), lineterminator="\n")
+        writer = csv.DictWriter(stream, fieldnames=list(suite[0].row), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows(built.row for built in suite)
 
 
 if __name__ == "__main__":

@@ -5,12 +5,15 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
+
+from dosplan.types import FloatArray
 
 from .commonroad_xml import Goal, compress, scenario_xml
 from .lanelets import convert
@@ -30,7 +33,7 @@ CANDIDATES = 4
 RARE = ("crossing", "merging")
 ALL = (*RARE, "leading")
 PATIENCE = 8
-"""Simulations that are searched for a rare conflict before any will do."""
+"""Simulations that are searched for what a place wants before any conflict will do."""
 DENSITIES = {"dense": (0.85, 1.1), "light": (0.4, 0.6)}
 LICENCE = "CC0-1.0"
 
@@ -74,6 +77,11 @@ class Place:
         return (self.index + 2 * (self.index // len(ROAD_KINDS))) % 3 != 0
 
     @property
+    def wants_hard(self) -> bool:
+        """Whether what the Intelligent Driver Model solves is passed over: two of five."""
+        return (self.index + 2 * (self.index // len(ROAD_KINDS))) % 5 < 2
+
+    @property
     def benchmark_id(self) -> str:
         """CommonRoad id."""
         return f"ZAM_{self.kind}-{self.map}_{self.config}_T-1"
@@ -86,10 +94,20 @@ class Place:
 
 @dataclass(frozen=True)
 class Built:
-    """A finished scenario: the compressed file and its row of the manifest."""
+    """A finished scenario.
+
+    Attributes:
+        data: The compressed file.
+        row: Its row of the manifest.
+        drive: (K, 4) states of the recorded drive of the vehicle that was taken out, see
+            ``Moment.drive``.
+        start: Step of the first of them.
+    """
 
     data: bytes
     row: dict[str, str]
+    drive: FloatArray
+    start: int
 
 
 def build(place: Place, seed: int) -> Built:
@@ -114,8 +132,9 @@ def build(place: Place, seed: int) -> Built:
             road = draw_road(place.rng(seed, place.map), demand)
             net = compile_network(road.network, folder)
             recording = motions(simulate(road, net, folder, rng))
-            conflicts = RARE if place.wants_rare and attempt < PATIENCE else ALL
-            for moment in islice(moments(recording, conflicts, rng), CANDIDATES):
+            choosy = attempt < PATIENCE
+            conflicts = RARE if place.wants_rare and choosy else ALL
+            for moment in islice(moments(recording, road.focus, conflicts, rng), CANDIDATES):
                 xml = scenario_xml(
                     place.benchmark_id,
                     f"generated with SUMO {version('eclipse-sumo')}, seed {seed}",
@@ -126,7 +145,9 @@ def build(place: Place, seed: int) -> Built:
                 )
                 path = folder / f"{place.benchmark_id}.xml"
                 path.write_bytes(xml)
-                collision = collision_of_constant_speed(path, moment.drive())
+                collision = collision_of_constant_speed(
+                    path, moment.drive(), hard=place.wants_hard and choosy
+                )
                 if collision is not None:
                     defeat = f"{moment.conflict} {collision}"
                     return _built(place, seed, road_kind, moment, compress(xml), defeat)
@@ -162,4 +183,20 @@ def _built(
         "source": f"scenarios/suite.py --split {place.split} --seed {seed}",
         "licence": LICENCE,
     }
-    return Built(data, row)
+    return Built(data, row, moment.drive(), moment.start)
+
+
+def drives_csv(suite: Iterable[Built]) -> bytes:
+    """The recorded drives of a suite as a table, compressed.
+
+    Args:
+        suite: The scenarios.
+
+    Returns:
+        A row for each state: id, step, centre x and y, m, heading, rad, and velocity, m/s.
+    """
+    lines = ["id,step,x,y,heading,velocity"]
+    for built in suite:
+        for step, (x, y, heading, velocity) in enumerate(built.drive, built.start):
+            lines.append(f"{built.row['id']},{step},{x:.3f},{y:.3f},{heading:.4f},{velocity:.3f}")
+    return compress("\n".join([*lines, ""]).encode())

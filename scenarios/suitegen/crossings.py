@@ -45,6 +45,7 @@ def signalised_crossing(rng: Rng, demand: float) -> Road:
     return Road(
         Network(tuple(nodes), tuple(edges), crossings=crossings),
         all_pairs(sources, targets, 550.0 * demand),
+        (centre.position,),
         walks,
         tags=("urban", "intersection"),
     )
@@ -60,11 +61,13 @@ def plain_crossing(rng: Rng, demand: float) -> Road:
         for i, angle in enumerate(angles)
     ]
     kind = "right_before_left" if equal else "priority"
-    nodes, edges = star(Node("c", (0.0, 0.0), kind, float(rng.uniform(5.0, 8.0))), arms)
+    centre = Node("c", (0.0, 0.0), kind, float(rng.uniform(5.0, 8.0)))
+    nodes, edges = star(centre, arms)
     sources, targets = ways(4)
     return Road(
         Network(tuple(nodes), tuple(edges)),
         all_pairs(sources, targets, 380.0 * demand),
+        (centre.position,),
         tags=("urban", "intersection"),
     )
 
@@ -77,11 +80,13 @@ def t_junction(rng: Rng, demand: float) -> Road:
         draw_arm(rng, angle, urban_lanes(rng, 1), speed, 3 if i < 2 else 1)
         for i, (angle, speed) in enumerate(zip(angles, speeds, strict=True))
     ]
-    nodes, edges = star(Node("c", (0.0, 0.0), "priority", float(rng.uniform(7.0, 11.0))), arms)
+    centre = Node("c", (0.0, 0.0), "priority", float(rng.uniform(7.0, 11.0)))
+    nodes, edges = star(centre, arms)
     sources, targets = ways(3)
     return Road(
         Network(tuple(nodes), tuple(edges)),
         all_pairs(sources, targets, 420.0 * demand),
+        (centre.position,),
         tags=("urban", "intersection"),
     )
 
@@ -93,7 +98,8 @@ def cycle_crossing(rng: Rng, demand: float) -> Road:
         draw_arm(rng, angle, urban_lanes(rng, 1, cycle=i % 2 == 0), 50 * KMH, 3 - 2 * (i % 2))
         for i, angle in enumerate(angles)
     ]
-    nodes, edges = star(Node("c", (0.0, 0.0), "priority", float(rng.uniform(7.0, 10.0))), arms)
+    centre = Node("c", (0.0, 0.0), "priority", float(rng.uniform(7.0, 10.0)))
+    nodes, edges = star(centre, arms)
     sources, targets = ways(4)
     bicycles = {"bicycle": 1.0}
     cyclists = (
@@ -105,6 +111,7 @@ def cycle_crossing(rng: Rng, demand: float) -> Road:
     return Road(
         Network(tuple(nodes), tuple(edges)),
         all_pairs(sources, targets, 380.0 * demand, NO_BUS_MIX) + cyclists,
+        (centre.position,),
         tags=("urban", "intersection"),
     )
 
@@ -148,5 +155,6 @@ def roundabout(rng: Rng, demand: float) -> Road:
     return Road(
         Network(tuple(nodes), tuple(edges)),
         all_pairs(sources, targets, 430.0 * demand),
+        tuple((radius * np.cos(at), radius * np.sin(at)) for _, at in around),
         tags=("urban", "roundabout"),
     )

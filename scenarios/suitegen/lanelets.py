@@ -19,11 +19,14 @@ import sumolib
 
 from dosplan.types import FloatArray
 
+from .tapers import taper
 from .traffic import STEP
 
 EDGE_SPACING = 5.0
 STRAIGHT_SPACING = 30.0
 JUNCTION_SPACING = 1.5
+TURN_WIDENING = 2.0
+"""How much wider than its lane a turn is halfway, m; junctions would have holes without it."""
 SAME_LINE = 0.6
 """Largest difference, m, between points of two bounds that are drawn as one."""
 
@@ -159,6 +162,7 @@ class _Converter:
         self.inside: dict[tuple[str, str], LaneletDraft] = {}
         self.links: dict[tuple[str, str], Any] = {}
         self.crossings: dict[str, list[LaneletDraft]] = defaultdict(list)
+        self.tapers: list[LaneletDraft] = []
         self.lights: list[Light] = []
 
     def run(self) -> LaneletMap:
@@ -172,12 +176,13 @@ class _Converter:
                 if lane.getID() in self.of_lane:
                     self._links(lane)
         self._inside_neighbours()
+        self._tapers()
         for edge in edges:
             if edge.getFunction() == "crossing":
                 self._crossing(edge)
         self._signals()
         intersections = self._intersections()
-        drafts = [*self.of_lane.values(), *self.inside.values()]
+        drafts = [*self.of_lane.values(), *self.inside.values(), *self.tapers]
         drafts.extend(draft for group in self.crossings.values() for draft in group)
         return LaneletMap(
             tuple(sorted(drafts, key=lambda draft: draft.id)),
@@ -233,6 +238,9 @@ class _Converter:
             length = float(np.linalg.norm(np.diff(line, axis=0), axis=1).sum())
             number = max(3, int(np.ceil(length / JUNCTION_SPACING)) + 1)
             widths = np.linspace(lane.getWidth(), link.getToLane().getWidth(), number)
+            roads_in = len(lane.getEdge().getToNode().getIncoming())
+            if roads_in >= INTERSECTION_ROADS and DIRECTIONS[link.getDirection()] != "straight":
+                widths += TURN_WIDENING * np.sin(np.linspace(0.0, np.pi, number))
             left, right = _bounds(resample(line, number), 0.5 * widths)
             _join(left, start.left[-1], end.left[0])
             _join(right, start.right[-1], end.right[0])
@@ -272,6 +280,28 @@ class _Converter:
             _share(draft.left, other.right)
             draft.adjacent_left = (other.id, True)
             other.adjacent_right = (draft.id, True)
+
+    def _tapers(self) -> None:
+        """Lets every lane run out that ends while the one beside it goes on."""
+        drafts = {draft.id: draft for draft in (*self.of_lane.values(), *self.inside.values())}
+        for ending in self.of_lane.values():
+            beside = ending.adjacent_left or ending.adjacent_right
+            if ending.successors or beside is None or not beside[1]:
+                continue
+            for way in (drafts[name] for name in drafts[beside[0]].successors):
+                after = drafts[way.successors[0]]
+                if ending.adjacent_left == beside:
+                    inner, outer = np.vstack([way.right, after.right[1:]]), ending.right[-1]
+                    left, right = taper(inner, outer)
+                else:
+                    inner, outer = np.vstack([way.left, after.left[1:]]), ending.left[-1]
+                    right, left = taper(inner, outer)
+                draft = LaneletDraft(
+                    next(self.ids), left, right, ending.kind, ending.users, ending.speed
+                )
+                draft.predecessors.append(ending.id)
+                ending.successors.append(draft.id)
+                self.tapers.append(draft)
 
     def _crossing(self, edge: Any) -> None:
         (lane,) = edge.getLanes()

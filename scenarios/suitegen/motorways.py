@@ -72,7 +72,10 @@ def on_ramp(rng: Rng, demand: float) -> Road:
         Flow("ramp", "out", 750.0 * demand, MOTORWAY_MIX),
     )
     return Road(
-        Network(nodes, edges, links), flows, tags=("highway", "merging_lanes", "multi_lane")
+        Network(nodes, edges, links),
+        flows,
+        merge,
+        tags=("highway", "merging_lanes", "multi_lane"),
     )
 
 
@@ -98,6 +101,7 @@ def lane_drop(rng: Rng, demand: float) -> Road:
     return Road(
         Network(nodes, edges, tuple(links)),
         (flow,),
+        before[-8:],
         tags=("highway", "merging_lanes", "parallel_lanes"),
     )
 
@@ -140,5 +144,6 @@ def weaving(rng: Rng, demand: float) -> Road:
     return Road(
         Network(nodes, edges, links),
         flows,
+        weave,
         tags=("highway", "merging_lanes", "multi_lane", "lane_change"),
     )

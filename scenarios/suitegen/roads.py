@@ -84,6 +84,7 @@ class Road:
     Attributes:
         network: The network.
         flows: Vehicles.
+        focus: Points of what the road kind is named after, m: a scenario happens near one.
         walks: Pedestrians.
         parked: Parked vehicles.
         tags: CommonRoad tags.
@@ -91,6 +92,7 @@ class Road:
 
     network: Network
     flows: tuple[Flow, ...]
+    focus: tuple[Point, ...]
     walks: tuple[Walk, ...] = ()
     parked: tuple[Parked, ...] = ()
     tags: tuple[str, ...] = ()

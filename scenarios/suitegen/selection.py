@@ -16,7 +16,9 @@ from dosplan.types import FloatArray
 from dosplan.vehicle import VehicleParameters
 
 from .motion import Motion
+from .plain import Point
 from .traffic import EGO_KIND, STEP
+from .verdict import FIRST_CONTACT
 
 HISTORY = (10, 15)
 """Steps recorded before the ego starts."""
@@ -30,8 +32,8 @@ START_STRIDE = 7
 SIGHT = 90.0
 """Road users that never come this close to the ego's recorded drive are left out, m."""
 MIN_START_SPEED = 3.0
-FIRST_CONTACT = 12
-"""Steps at least between the start and the collision of constant speed: time to react."""
+FOCUS_RADIUS = 25.0
+"""The ego's recorded drive comes this close to what its road kind is named after, m."""
 BRAKING = 3.0
 """Deceleration of the stop that must end short of the goal, m/s2."""
 CLEARANCE = 0.15
@@ -76,12 +78,16 @@ class Moment:
 
 
 def moments(
-    motions: Sequence[Motion], conflicts: Container[str], rng: np.random.Generator
+    motions: Sequence[Motion],
+    focus: Sequence[Point],
+    conflicts: Container[str],
+    rng: np.random.Generator,
 ) -> Iterator[Moment]:
     """Interactive moments of a recording, in random order.
 
     Args:
         motions: Everyone in the recording.
+        focus: See ``Road``.
         conflicts: The conflicts that are wanted, see ``Moment``.
         rng: Draws windows and their order.
 
@@ -101,7 +107,8 @@ def moments(
         )
         if start + drive + slack > ego.last:
             continue
-        if not _asks_for_driving(ego.window(start, start + drive)):
+        states = ego.window(start, start + drive)
+        if not (_asks_for_driving(states) and _reaches(states, focus)):
             continue
         first, last = start - history, start + drive + slack
         others = tuple(m for m in motions if m is not ego and _near(m, ego, first, last))
@@ -124,6 +131,11 @@ def _asks_for_driving(states: FloatArray) -> bool:
     speed = states[0, 3]
     way = float(np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1).sum())
     return bool(speed >= MIN_START_SPEED and way >= speed**2 / (2.0 * BRAKING) + 12.0)
+
+
+def _reaches(states: FloatArray, focus: Sequence[Point]) -> bool:
+    gaps = states[:, None, :2] - np.asarray(focus)
+    return bool(np.hypot(gaps[..., 0], gaps[..., 1]).min() < FOCUS_RADIUS)
 
 
 def _near(motion: Motion, ego: Motion, first: int, last: int) -> bool:

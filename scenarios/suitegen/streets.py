@@ -46,6 +46,7 @@ def pedestrian_crossing(rng: Rng, demand: float) -> Road:
     return Road(
         Network(nodes, edges, crossings=(Crossing("z", ("a+", "a-"), 4.0),)),
         (Flow("a+", "b+", rate, URBAN_MIX), Flow("b-", "a-", rate, URBAN_MIX)),
+        (line[middle],),
         (Walk("a+", "a-", 200.0), Walk("a-", "b+", 200.0), Walk("b+", "a-", 100.0)),
         tags=("urban", "two_lane", "oncoming_traffic"),
     )
@@ -95,7 +96,10 @@ def arterial(rng: Rng, demand: float) -> Road:
         *all_pairs(inward, outward, 170.0 * demand),
     )
     return Road(
-        Network(tuple(nodes), tuple(edges)), flows, tags=("urban", "intersection", "multi_lane")
+        Network(tuple(nodes), tuple(edges)),
+        flows,
+        spots[1:3],
+        tags=("urban", "intersection", "multi_lane"),
     )
 
 
@@ -137,6 +141,7 @@ def grid(rng: Rng, demand: float) -> Road:
     return Road(
         Network(tuple(nodes), tuple(edges)),
         all_pairs(inward, outward, 300.0 * demand, NO_BUS_MIX),
+        tuple(spots[i, j] for i in (1, 2, 3) for j in (1, 2, 3)),
         tags=("urban", "intersection"),
     )
 
@@ -169,4 +174,10 @@ def narrow_street(rng: Rng, demand: float) -> Road:
             side = -side
             position += 12.0
     flows = (Flow("arrive", "leave", 650.0 * demand, NO_BUS_MIX),)
-    return Road(Network(nodes, edges), flows, parked=tuple(parked), tags=("urban", "single_lane"))
+    return Road(
+        Network(nodes, edges),
+        flows,
+        street,
+        parked=tuple(parked),
+        tags=("urban", "single_lane"),
+    )

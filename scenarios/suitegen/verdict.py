@@ -1,4 +1,4 @@
-"""dosplan's own judgement of a scenario: solvable, and not by holding the speed or by stopping."""
+"""dosplan's own judgement of a scenario: solvable, but not by driving without thought."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 from dosplan_baseline.brake import BrakePlanner
 from dosplan_baseline.cruise import CruisePlanner
-from dosplan_simple.predictors import NonePredictor
+from dosplan_baseline.idm import IdmPlanner
+from dosplan_simple.predictors import ConstantVelocityPredictor, NonePredictor
 
-from dosplan.api import Planner
+from dosplan.api import Planner, Predictor
+from dosplan.bounds import outside
 from dosplan.scenario import load_scenario
 from dosplan.scoring import score
 from dosplan.simulation import run_episode
@@ -17,6 +19,10 @@ from dosplan.types import Arm, Episode, EpisodeEnd, FloatArray, Outcome, Scenari
 from dosplan.vehicle import VehicleParameters
 
 VEHICLE = VehicleParameters()
+FIRST_CONTACT = 12
+"""Steps at least between the start and the collision of constant speed: time to react."""
+KERB = 0.05
+"""Least distance of the recorded drive from the edge of the road, m."""
 
 
 def recorded_episode(scenario: Scenario, drive: FloatArray) -> Episode:
@@ -45,32 +51,42 @@ def recorded_episode(scenario: Scenario, drive: FloatArray) -> Episode:
     )
 
 
-def _driven(scenario: Scenario, planner: Planner) -> Score:
-    episode = run_episode(scenario, planner, NonePredictor(), Arm.WITHOUT_DOS)
+def _driven(scenario: Scenario, planner: Planner, predictor: Predictor) -> Score:
+    episode = run_episode(scenario, planner, predictor, Arm.WITHOUT_DOS)
     return score(scenario, episode, VEHICLE)
 
 
-def collision_of_constant_speed(path: Path, drive: FloatArray) -> str | None:
+def collision_of_constant_speed(path: Path, drive: FloatArray, hard: bool) -> str | None:
     """Judges a scenario.
 
     Args:
         path: The file.
         drive: (K, 4) the recorded drive, see ``recorded_episode``.
+        hard: Whether to reject what the Intelligent Driver Model solves, too.
 
     Returns:
         Whom an ego hits that holds its speed along the route, and when; None where the
-        scenario is to be rejected: the recorded drive does not succeed, or constant speed or
-        braking to a stop does.
+        scenario is to be rejected: the recorded drive does not succeed or scrapes the edge of
+        the road, constant speed hits nobody or at once, or braking to a stop succeeds.
     """
     scenario = load_scenario(path)
     recorded = score(scenario, recorded_episode(scenario, drive), VEHICLE)
     if recorded.outcome is not Outcome.SUCCESS:
         return None
-    if _driven(scenario, BrakePlanner()).outcome is Outcome.SUCCESS:
+    if outside(drive[:, :3], np.add(VEHICLE.size, 2.0 * KERB), scenario.road_map).any():
         return None
-    cruise = _driven(scenario, CruisePlanner())
+    if _driven(scenario, BrakePlanner(), NonePredictor()).outcome is Outcome.SUCCESS:
+        return None
+    cruise = _driven(scenario, CruisePlanner(), NonePredictor())
     if cruise.outcome is not Outcome.COLLISION or cruise.collision_step is None:
         return None
+    first = cruise.collision_step - scenario.task.start_step
+    if first < FIRST_CONTACT:
+        return None
+    if hard:
+        idm = _driven(scenario, IdmPlanner(), ConstantVelocityPredictor())
+        if idm.outcome is Outcome.SUCCESS:
+            return None
     other = int(np.flatnonzero(scenario.tracks.ids == cruise.collision_with)[0])
-    seconds = (cruise.collision_step - scenario.task.start_step) * scenario.dt
+    seconds = first * scenario.dt
     return f"{scenario.tracks.kinds[other]} after {seconds:.1f} s ({cruise.collision_class})"

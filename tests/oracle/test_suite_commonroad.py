@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import gzip
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,18 +16,25 @@ from commonroad.common.file_reader import CommonRoadFileReader
 from commonroad.common.util import FileFormat
 from commonroad.scenario.traffic_light import TrafficLightState
 
-SUITE = Path(__file__).resolve().parents[2] / "scenarios"
+from dosplan.vehicle import VehicleParameters
+from tests.suite import ROWS, SUITE, Row, drives, each
+
 SCHEMA = (
     Path(commonroad.__file__).parent
     / "scenario_definition/xml_definition_files/XML_commonRoad_XSD.xsd"
 )
-with (SUITE / "manifest.csv").open(newline="", encoding="utf-8") as stream:
-    FILES = [SUITE / row["file"] for row in csv.DictReader(stream)]
-SIGNALISED = [path for path in FILES if path.name.startswith(("ZAM_Signal", "ZAM_Arterial"))]
+SIGNALISED = ("signalised crossing", "urban arterial", "urban grid")
+VEHICLE = VehicleParameters()
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.name))
-def test_file_obeys_the_schema(path: Path) -> None:
+def _read(row: Row) -> Any:
+    """Scenario and planning problems, by commonroad-io."""
+    data = gzip.decompress((SUITE / row["file"]).read_bytes())
+    return CommonRoadFileReader(data, FileFormat.XML).open()
+
+
+@pytest.mark.parametrize("row", each())
+def test_file_obeys_the_schema(row: Row) -> None:
     etree = pytest.importorskip("lxml.etree", reason="lxml validates the schema")
     if not SCHEMA.exists():
         pytest.skip("this commonroad-io does not ship the schema")
@@ -38,14 +44,13 @@ def test_file_obeys_the_schema(path: Path) -> None:
     relaxed = text.replace('<xs:maxInclusive value="0"/>', "", 1)
     assert relaxed != text
     schema = etree.XMLSchema(etree.fromstring(relaxed.encode()))
-    schema.assertValid(etree.fromstring(gzip.decompress(path.read_bytes())))
+    schema.assertValid(etree.fromstring(gzip.decompress((SUITE / row["file"]).read_bytes())))
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.name))
-def test_commonroad_io_reads_everything_back(path: Path) -> None:
-    data = gzip.decompress(path.read_bytes())
-    root = ElementTree.fromstring(data)
-    scenario, problems = CommonRoadFileReader(data, FileFormat.XML).open()
+@pytest.mark.parametrize("row", each())
+def test_commonroad_io_reads_everything_back(row: Row) -> None:
+    root = ElementTree.fromstring(gzip.decompress((SUITE / row["file"]).read_bytes()))
+    scenario, problems = _read(row)
     network = scenario.lanelet_network
     for tag, read in (
         ("lanelet", network.lanelets),
@@ -59,9 +64,9 @@ def test_commonroad_io_reads_everything_back(path: Path) -> None:
     assert all(not lanelet.polygon.shapely_object.is_empty for lanelet in network.lanelets)
 
 
-def _passages(path: Path) -> Iterator[tuple[Any, int]]:
+def _passages(row: Row) -> Iterator[tuple[Any, int]]:
     """Signals that moving traffic passes, with the step at which it does."""
-    scenario, _ = CommonRoadFileReader(gzip.decompress(path.read_bytes()), FileFormat.XML).open()
+    scenario, _ = _read(row)
     network = scenario.lanelet_network
     inside = {
         lanelet: (incoming, direction)
@@ -104,9 +109,34 @@ def _passages(path: Path) -> Iterator[tuple[Any, int]]:
                     yield light, states[crossed[0]].time_step
 
 
-def test_nobody_passes_a_red_signal() -> None:
-    states = [
-        light.get_state_at_time_step(step) for path in SIGNALISED for light, step in _passages(path)
-    ]
-    assert TrafficLightState.GREEN in states
-    assert TrafficLightState.RED not in states
+def _colours(row: Row) -> set[TrafficLightState]:
+    return {light.get_state_at_time_step(step) for light, step in _passages(row)}
+
+
+@pytest.mark.parametrize("row", each(*SIGNALISED))
+def test_nobody_passes_a_red_signal(row: Row) -> None:
+    assert TrafficLightState.RED not in _colours(row)
+
+
+def test_signals_are_passed_at_green() -> None:
+    first = next(row for row in ROWS if row["road_kind"] == SIGNALISED[0])
+    assert TrafficLightState.GREEN in _colours(first)
+
+
+@pytest.mark.parametrize("row", each())
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # commonroad-io's protobuf
+def test_drivability_checker_accepts_the_recorded_drive(row: Row) -> None:
+    reason = "install the extra `oracle` to run this"
+    crcc = pytest.importorskip("commonroad_dc.pycrcc", reason=reason)
+    boundary = pytest.importorskip("commonroad_dc.boundary.boundary", reason=reason)
+    dispatch = pytest.importorskip(
+        "commonroad_dc.collision.collision_detection.pycrcc_collision_dispatch", reason=reason
+    )
+    scenario, problems = _read(row)
+    (problem,) = problems.planning_problem_dict.values()
+    ego = crcc.TimeVariantCollisionObject(problem.initial_state.time_step)
+    for x, y, heading, _ in drives()[row["id"]]:
+        ego.append_obstacle(crcc.RectOBB(VEHICLE.length / 2, VEHICLE.width / 2, heading, x, y))
+    assert not dispatch.create_collision_checker(scenario).collide(ego)
+    _, edge = boundary.create_road_boundary_obstacle(scenario, method="aligned_triangulation")
+    assert not edge.collide(ego)

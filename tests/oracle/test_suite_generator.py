@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import os
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
-COUNT = 2
+COUNT = 3
 SUMO_VERSION = "1.28.0"
 
 
@@ -54,6 +55,10 @@ def test_rebuilds_the_committed_files(tmp_path: Path) -> None:
             assert rebuilt == (SCENARIOS / row["file"]).read_bytes(), row["id"]
         with (out / "manifest.csv").open(newline="", encoding="utf-8") as stream:
             assert list(csv.DictReader(stream)) == rows
+        drives, committed = (
+            gzip.decompress((place / "drives.csv.gz").read_bytes()) for place in (out, SCENARIOS)
+        )
+        assert committed.startswith(drives)
 
 
 def test_training_split_has_other_roads(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def _untimed(rows: list[Score]) -> list[Score]:
 def test_every_fault_of_a_worker_becomes_a_row_and_the_rest_goes_on(
     scenes: Path, tmp_path: Path
 ) -> None:
-    config = _config(tmp_path / "run", scenes, "FaultyPlanner", workers=2, episode_timeout=6.0)
+    config = _config(tmp_path / "run", scenes, "FaultyPlanner", workers=2, episode_timeout=12.0)
     folder = run(config)
     rows = read_rows(folder.rows)
     assert [(row.scenario, row.arm) for row in rows] == [

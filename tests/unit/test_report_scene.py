@@ -1,0 +1,148 @@
+"""The renderer: what it draws where, read back from matplotlib's artists."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapely.geometry import box
+
+from dosplan.geometry import rectangle_corners
+from dosplan.scenes import busy_scenario, growing_sets
+from dosplan.simulation import observe
+from dosplan.types import EGO_X, GoalState, RoadMap, Scenario
+from dosplan.vehicle import VehicleParameters
+
+pytest.importorskip("matplotlib", reason="drawing needs the extra `report`")
+
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, PolyCollection
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from dosplan.report.scene import (
+    EGO_COLOUR,
+    KIND_COLOURS,
+    draw_scene,
+    legend_handles,
+    save_scene,
+)
+
+GOAL = box(60.0, -1.5, 72.0, 1.5)
+VEHICLE = VehicleParameters()
+
+
+@pytest.fixture
+def scenario() -> Scenario:
+    """A car, a truck, a pedestrian and a parked car; the goal lies 60 m ahead."""
+    scene = busy_scenario()
+    goal = GoalState(first_step=80, last_step=90, region=GOAL)
+    return replace(scene, task=replace(scene.task, goals=(goal,)))
+
+
+@pytest.fixture
+def axes() -> Axes:
+    return Figure().add_subplot()
+
+
+def _bodies(axes: Axes) -> dict[str, list[np.ndarray]]:
+    """Corners of the rectangles that are drawn, by colour."""
+    found: dict[str, list[np.ndarray]] = {}
+    for collection in axes.collections:
+        if not isinstance(collection, PolyCollection):
+            continue
+        outlines = [np.asarray(path.vertices) for path in collection.get_paths()]
+        colours = np.resize(collection.get_facecolor(), (len(outlines), 4))
+        for outline, colour in zip(outlines, colours, strict=True):
+            if len(outline) == 5:  # A closed rectangle; a heading is a triangle.
+                found.setdefault(to_hex(tuple(colour)), []).append(outline[:4])
+    return found
+
+
+def test_everybody_is_where_the_recording_says(axes: Axes, scenario: Scenario) -> None:
+    draw_scene(axes, scenario, 40)
+    bodies, tracks = _bodies(axes), scenario.tracks
+    for user, kind in enumerate(tracks.kinds):
+        (drawn,) = bodies[KIND_COLOURS[kind]]
+        expected = rectangle_corners(tracks.states[user, 40, :3], tracks.size[user])
+        np.testing.assert_allclose(drawn, expected)
+
+
+def test_who_is_not_there_is_not_drawn(axes: Axes, scenario: Scenario) -> None:
+    valid = scenario.tracks.valid.copy()
+    valid[0, 40] = False
+    gone = replace(scenario, tracks=replace(scenario.tracks, valid=valid))
+    draw_scene(axes, gone, 40)
+    assert KIND_COLOURS[scenario.tracks.kinds[0]] not in _bodies(axes)
+
+
+def test_past_the_recording_only_the_ego_is_left(axes: Axes, scenario: Scenario) -> None:
+    draw_scene(axes, scenario, scenario.tracks.steps + 5)
+    assert set(_bodies(axes)) == {EGO_COLOUR}
+
+
+def test_ego_stands_at_its_start_or_where_it_drove(axes: Axes, scenario: Scenario) -> None:
+    start = scenario.task.start
+    drive = start + np.outer(np.arange(6), np.eye(5)[EGO_X])
+    # The ego starts at step 40 and moves 1 m a step; past the end of its drive it stays there.
+    for ego, step, metres in ((None, 43, 0), (drive, 40, 0), (drive, 43, 3), (drive, 60, 5)):
+        axes.clear()
+        draw_scene(axes, scenario, step, ego=ego)
+        (drawn,) = _bodies(axes)[EGO_COLOUR]
+        expected = VEHICLE.centre(start) + np.array([metres, 0.0])
+        np.testing.assert_allclose(drawn.mean(axis=0), expected)
+
+
+def test_sets_are_drawn_with_their_full_axes(axes: Axes, scenario: Scenario) -> None:
+    sets = growing_sets(observe(scenario, 40, scenario.task.start[None], history=1), horizon=3)
+    draw_scene(axes, scenario, 40, occupancy=sets)
+    (ellipses,) = (c for c in axes.collections if isinstance(c, EllipseCollection))
+    full = 2.0 * sets.semi_axes.reshape(-1, 2)
+    np.testing.assert_allclose(np.asarray(ellipses.get_offsets()), sets.centre.reshape(-1, 2))
+    np.testing.assert_allclose(np.asarray(ellipses.get_widths()), full[:, 0])
+    np.testing.assert_allclose(np.asarray(ellipses.get_heights()), full[:, 1])
+
+
+def test_points_are_no_sets(axes: Axes, scenario: Scenario) -> None:
+    sets = growing_sets(observe(scenario, 40, scenario.task.start[None], history=1)).without_sets()
+    draw_scene(axes, scenario, 40, occupancy=sets)
+    (ellipses,) = (c for c in axes.collections if isinstance(c, EllipseCollection))
+    assert len(np.asarray(ellipses.get_offsets())) == 0
+
+
+def test_view_is_square_and_shows_start_and_goal(axes: Axes, scenario: Scenario) -> None:
+    draw_scene(axes, scenario, 40)
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    assert right - left == pytest.approx(top - bottom)
+    view = box(left, bottom, right, top)
+    assert view.contains(GOAL)
+    assert view.contains(box(0.0, -1.0, 4.0, 1.0))
+
+
+def test_islands_stay_open(scenario: Scenario, tmp_path: Path) -> None:
+    figure = Figure()
+    axes = figure.add_subplot()
+    island = box(18.0, 2.2, 28.0, 4.8)
+    road_map = scenario.road_map
+    pierced = RoadMap(road_map.lanelets, road_map.drivable.difference(island))
+    draw_scene(axes, replace(scenario, road_map=pierced), 40)
+    figure.savefig(tmp_path / "scene.png", dpi=figure.dpi)
+    pixels = imread(tmp_path / "scene.png")
+    points = axes.transData.transform([(23.0, 3.5), (40.0, 3.5)]).round().astype(int)
+    inside, beside = (pixels[len(pixels) - y, x, :3] for x, y in points)
+    np.testing.assert_array_equal(inside, 1.0)
+    assert np.all(beside < 1.0)
+
+
+def test_legend_names_what_occurs(scenario: Scenario) -> None:
+    labels = [str(handle.get_label()) for handle in legend_handles(scenario)]
+    assert labels == ["ego", "goal", "car", "truck", "pedestrian", "parked"]
+
+
+def test_picture_is_written(scenario: Scenario, tmp_path: Path) -> None:
+    path = tmp_path / "scene.png"
+    save_scene(scenario, path)
+    assert path.read_bytes().startswith(b"\x89PNG")

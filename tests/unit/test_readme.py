@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import pytest
 
 import dosplan.scoring
 from dosplan.cli import main
+from dosplan.results import read_rows
+from dosplan.types import Arm, Outcome
 
 ROOT = Path(__file__).parents[2]
 
@@ -29,3 +32,26 @@ def test_own_planner_of_the_readme_passes_the_check(
     plugin = tmp_path / "mine.py"
     plugin.write_text(code, encoding="utf-8")
     assert main(["check", f"{plugin}:Coast"]) == 0, capsys.readouterr().out
+
+
+@pytest.mark.parametrize("run", ["suite", "recorded"])
+def test_tables_are_those_of_the_published_runs(run: str) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    shown = text.split(f"<!-- {run} table: begin -->", 1)[1].split(f"<!-- {run} table: end -->")[0]
+    summary = (ROOT / "results" / run / "summary.md").read_text(encoding="utf-8")
+    blocks = [block for block in summary.split("\n\n") if block.startswith("| Arm")]
+    assert shown.strip() == "\n\n".join(blocks[:2])
+
+
+@pytest.mark.parametrize("run", ["suite", "recorded"])
+def test_published_figures_follow_from_their_rows(run: str) -> None:
+    folder = ROOT / "results" / run
+    rows = read_rows(folder / "scenarios.jsonl")
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    for arm in Arm:
+        mine = [row for row in rows if row.arm is arm]
+        assert len(mine) == summary[arm]["n"] == 150
+        share = sum(row.outcome is Outcome.SUCCESS for row in mine) / 150
+        assert summary[arm]["success_rate"] == pytest.approx(share)
+        share = sum(row.outcome is Outcome.COLLISION for row in mine) / 150
+        assert summary[arm]["collision_rate"] == pytest.approx(share)

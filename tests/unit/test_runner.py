@@ -104,7 +104,7 @@ def test_every_fault_of_a_worker_becomes_a_row_and_the_rest_goes_on(
     assert errors[2:] == [
         "the worker process ended with exit code 3",
         "the worker process was killed by SIGSEGV",
-        "timed out after 6 s",
+        "timed out after 12 s",
         errors[5],
     ]
     assert str(errors[5]).startswith("planner faulty-v1: SystemExit: enough (faulty.py:")

@@ -195,9 +195,9 @@ class FixedCirclePredictor(CirclePredictor):
 class GrowingCirclePredictor(CirclePredictor):
     """A radius that grows with time: r = z t.
 
-    The default of z was chosen by driving in closed loop on training and validation scenarios.
-    The paper's z = 0.7 m/s and z = 1 m/s remain possible; at the latter a road user blocks the
-    lanes beside its own after 3 s.
+    In closed loop on training and validation scenarios the default of z did better than circles
+    of the mean error (``ErrorCirclePredictor``). The paper has z = 0.7 m/s and z = 1 m/s; at the
+    latter a road user blocks the lanes beside its own after 3 s.
     """
 
     name = "growing-circle-v1"

@@ -125,6 +125,33 @@ def run_episode(
     )
 
 
+def known_drive(scenario_id: str, arm: Arm, start_step: int, states: FloatArray) -> Episode:
+    """A drive that is known by its states alone, such as a recorded one, ready to be scored.
+
+    Args:
+        scenario_id: Id of the scenario.
+        arm: Arm that the row is to name.
+        start_step: Step of the first state.
+        states: (K + 1, 5) ego states.
+
+    Returns:
+        An episode without planning cycles and with zeros for the inputs, which nobody knows.
+    """
+    return Episode(
+        scenario_id=scenario_id,
+        arm=arm,
+        start_step=start_step,
+        states=states,
+        inputs=np.zeros((len(states) - 1, 2)),
+        end=EpisodeEnd.TIME_OVER,
+        predict_seconds=np.zeros(0),
+        plan_seconds=np.zeros(0),
+        plans=(),
+        occupancies=(),
+        cycle_steps=np.zeros(0, dtype=np.int64),
+    )
+
+
 def observe(scenario: Scenario, step: int, driven: FloatArray, history: int) -> Observation:
     """What may be known at a step.
 

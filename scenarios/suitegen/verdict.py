@@ -14,8 +14,8 @@ from dosplan.api import Planner, Predictor
 from dosplan.bounds import outside
 from dosplan.scenario import load_scenario
 from dosplan.scoring import score
-from dosplan.simulation import run_episode
-from dosplan.types import Arm, Episode, EpisodeEnd, FloatArray, Outcome, Scenario, Score
+from dosplan.simulation import known_drive, run_episode
+from dosplan.types import Arm, Episode, FloatArray, Outcome, Scenario, Score
 from dosplan.vehicle import VehicleParameters
 
 VEHICLE = VehicleParameters()
@@ -36,19 +36,7 @@ def recorded_episode(scenario: Scenario, drive: FloatArray) -> Episode:
         An episode with zeros for the inputs, which nobody knows.
     """
     states = np.array([VEHICLE.state_at(row[:2], row[2], row[3]) for row in drive])
-    return Episode(
-        scenario_id=scenario.id,
-        arm=Arm.WITHOUT_DOS,
-        start_step=scenario.task.start_step,
-        states=states,
-        inputs=np.zeros((len(states) - 1, 2)),
-        end=EpisodeEnd.TIME_OVER,
-        predict_seconds=np.zeros(0),
-        plan_seconds=np.zeros(0),
-        plans=(),
-        occupancies=(),
-        cycle_steps=np.zeros(0, dtype=np.int64),
-    )
+    return known_drive(scenario.id, Arm.WITHOUT_DOS, scenario.task.start_step, states)
 
 
 def _driven(scenario: Scenario, planner: Planner, predictor: Predictor) -> Score:

@@ -17,7 +17,8 @@ from dosplan.collision import SWEPT_TOUCH, first_contacts, shape_at
 from dosplan.geometry import rectangle_corners
 from dosplan.scenario import ScenarioError, load_scenario
 from dosplan.scoring import score
-from dosplan.types import Arm, Episode, EpisodeEnd, FloatArray, Outcome, Scenario
+from dosplan.simulation import known_drive
+from dosplan.types import Arm, Episode, FloatArray, Outcome, Scenario
 from dosplan.vehicle import VehicleParameters
 from tests.oracle.real_data import commonroad_root, scenario_file
 
@@ -44,19 +45,7 @@ def as_episode(name: str, start: int, centres: FloatArray, steering: FloatArray)
             for centre, angle in zip(centres, steering, strict=True)
         ]
     )
-    return Episode(
-        scenario_id=name,
-        arm=Arm.WITH_DOS,
-        start_step=start,
-        states=states,
-        inputs=np.zeros((len(states) - 1, 2)),
-        end=EpisodeEnd.TIME_OVER,
-        predict_seconds=np.zeros(0),
-        plan_seconds=np.zeros(0),
-        plans=(),
-        occupancies=(),
-        cycle_steps=np.zeros(0, dtype=np.int64),
-    )
+    return known_drive(name, Arm.WITH_DOS, start, states)
 
 
 def depth_of_overlap(a: shapely.Polygon, b: shapely.Polygon) -> float:

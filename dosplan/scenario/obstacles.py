@@ -228,12 +228,13 @@ def _step(state: Any) -> int:
 
 
 def _row(state: Any) -> list[float]:
-    heading, along, across = (
-        getattr(state, name, None) for name in ("orientation", "velocity", "velocity_y")
-    )
+    heading = getattr(state, "orientation", None)
+    along = getattr(state, "velocity", None)
     speed = np.nan if along is None else exact(along)
-    if across is not None:
-        speed = float(np.hypot(speed, exact(across)))
+    # commonroad-io answers `velocity_y` for a state that has none: with the speed's share along
+    # the y axis. Only where the file holds one is it the velocity across the body.
+    if "velocity_y" in state.used_attributes:
+        speed = float(np.hypot(speed, exact(state.velocity_y)))
     return [*position(state.position), np.nan if heading is None else exact(heading), speed]
 
 

@@ -73,6 +73,46 @@ def test_wheels_are_turned_along_a_bend_where_no_yaw_rate_is_given(
     assert start[2] == pytest.approx(expected, abs=0.01)
 
 
+@pytest.mark.parametrize("heading", [0.0, np.pi / 4, np.pi / 2, -np.pi / 2, np.pi])
+def test_speed_is_the_files_whatever_the_heading(tmp_path: Path, heading: float) -> None:
+    """The file names one speed, along the body: it must not grow by its share along the y axis.
+
+    With an acceleration beside it, commonroad-io makes states that derive a ``velocity_y``.
+    """
+    text = scenario_xml(
+        scenes.straight_road(), [User(7, scenes.driving(60.0, 0.0, 8.0, 20, heading))]
+    )
+    told = "</velocity><acceleration><exact>0.0</exact></acceleration></state>"
+    path = tmp_path / "accelerated.xml"
+    path.write_text(text.replace("</velocity></state>", told))
+    np.testing.assert_allclose(load_scenario(path).tracks.states[0, :20, 3], 8.0)
+
+
+def test_speed_across_the_body_counts_where_the_file_names_it(tmp_path: Path) -> None:
+    """3 m/s along and 4 m/s across are 5 m/s."""
+    text = scenario_xml(scenes.straight_road(), [User(7, scenes.driving(50.0, 0.0, 3.0, 20))])
+    head, _, tail = text.partition("<trajectory>")
+    told = "</velocity><velocityY><exact>4.0</exact></velocityY></state>"
+    path = tmp_path / "across.xml"
+    path.write_text(f"{head}<trajectory>{tail.replace('</velocity></state>', told)}")
+    np.testing.assert_allclose(load_scenario(path).tracks.states[0, 1:20, 3], 5.0)
+
+
+def test_speeds_of_the_suite_are_displacements_per_step() -> None:
+    """The middle step of three: (p(t + 1) - p(t - 1)) / 2 dt is v(t) to the second order."""
+    for ref in find_scenarios("suite")[::50]:
+        scenario = load_scenario(ref)
+        states, valid = scenario.tracks.states, scenario.tracks.valid
+        passed = np.linalg.norm(states[:, 2:, :2] - states[:, :-2, :2], axis=-1) / 0.2
+        speed = states[:, 1:-1, 3]
+        drives = valid[:, 2:] & valid[:, 1:-1] & valid[:, :-2] & (speed > 3.0)
+        assert drives.sum() > 100, ref.id
+        ratio = passed[drives] / speed[drives]
+        assert np.median(ratio) == pytest.approx(1.0, abs=0.01), ref.id
+        # A jump to the next lane or into the scene is one step of hundreds.
+        assert np.mean(np.abs(ratio - 1.0) < 0.05) > 0.95, ref.id
+
+
 def test_several_planning_problems_are_several_episodes(tmp_path: Path) -> None:
     problems = [Problem(5, (10.0, 0.0, 0.0, 8.0)), Problem(9, (20.0, 3.5, 0.0, 9.0))]
     path = write_scenario_xml(tmp_path / "two.xml", problems=problems)

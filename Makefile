@@ -23,6 +23,7 @@ suite-check: $(VENV)/.dev
 	$(BIN)/python -m pytest tests/unit/test_suite_files.py tests/oracle/test_suite_*.py
 
 bench: $(VENV)/.dev
+	$(PIP) --editable ".[onnx]"
 	$(BIN)/python tests/bench.py
 
 lint: $(VENV)/.dev
@@ -36,13 +37,16 @@ clean:
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
+# torch comes first and by itself: as a dependency of something else it would be another build of
+# several gigabytes.
 $(VENV)/.run: $(BIN)/python pyproject.toml constraints.txt
+	$(PIP) torch
 	$(PIP) --editable .
 	touch $@
 
 # The drivability checker is an oracle of some tests only, and one of its dependencies comes as
 # source: where no compiler is at hand, those tests are skipped and say so.
 $(VENV)/.dev: $(VENV)/.run
-	$(PIP) --editable ".[dev]"
+	$(PIP) --editable ".[dev,cluster]"
 	$(PIP) --editable ".[oracle]" || echo "no drivability checker: its oracle tests are skipped"
 	touch $@

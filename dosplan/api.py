@@ -11,6 +11,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar, final
 
 import numpy as np
@@ -194,6 +195,17 @@ class Predictor(ABC):
                 f"{self.horizon}"
             )
         return occupancy
+
+    @classmethod
+    def weight_files(cls) -> tuple[Path, ...]:
+        """Names the files of trained numbers that it loads by default.
+
+        Their SHA-256 goes into ``run.json``: a run with other weights is another run.
+
+        Returns:
+            The files; none by default.
+        """
+        return ()
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:  # noqa: B027 - a hook
         """Hook for what a predictor builds once per episode; does nothing by default.

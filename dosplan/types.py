@@ -118,6 +118,11 @@ class RoadUserKind(StrEnum):
     STATIC = "static"
     UNKNOWN = "unknown"
 
+    @property
+    def moves(self) -> bool:
+        """Whether it can move at all: it is neither parked nor part of the scenery."""
+        return self not in (RoadUserKind.PARKED, RoadUserKind.STATIC)
+
 
 @dataclass(frozen=True)
 class Lanelet:

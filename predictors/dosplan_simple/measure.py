@@ -1,4 +1,4 @@
-"""``python -m dosplan_simple.measure DIR --out FILE``: how far constant velocity is off.
+"""``python -m dosplan_simple.measure DIR --out FILE``: how far a trajectory predictor is off.
 
 Writes the table of mean displacement errors that ``error-circle-v1`` takes its radii from. The
 mean is over every road user that can move, at every second of every recording, wherever its
@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from dosplan.api import OraclePredictor, Predictor
+from dosplan.registry import find_predictor
 from dosplan.simulation import observe
 from dosplan.types import Observation, Scenario
 from dosplan_simple.predictors import (
     UNMOVED_KINDS,
-    ConstantVelocityPredictor,
     GroundTruthPredictor,
     of_kind,
 )
@@ -81,7 +81,7 @@ def _errors(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Measures constant velocity on a folder of recordings.
+    """Measures a predictor on a folder of recordings.
 
     Args:
         arguments: Command line; that of the process by default.
@@ -94,7 +94,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m dosplan_simple.measure", description=__doc__)
     parser.add_argument("folder", type=Path, help="folder of CommonRoad recordings")
     parser.add_argument("--out", type=Path, required=True, help="table to write")
-    parser.add_argument("--horizon", type=int, default=50, help="steps to measure")
+    parser.add_argument("--horizon", type=int, default=40, help="steps to measure")
+    parser.add_argument(
+        "--predictor",
+        default="constant-velocity",
+        help="a name of `dosplan list`, module:Class or path/to/file.py:Class",
+    )
     parsed = parser.parse_args(arguments)
 
     # One planning problem per recording is enough: the road users are the same.
@@ -102,10 +107,10 @@ def main(arguments: list[str] | None = None) -> int:
     folder = f"{parsed.folder.parent.name}/{parsed.folder.name}"
     table = measure(
         (load_scenario(ref) for ref in first.values()),
-        ConstantVelocityPredictor(horizon=parsed.horizon),
+        find_predictor(parsed.predictor)(horizon=parsed.horizon),
         command=(
             f"python -m dosplan_simple.measure {folder} --out {parsed.out.name} "
-            f"--horizon {parsed.horizon}"
+            f"--horizon {parsed.horizon} --predictor {parsed.predictor}"
         ),
     )
     table.dump(parsed.out)

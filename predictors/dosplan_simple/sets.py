@@ -45,22 +45,20 @@ class ErrorTable:
     command: str
 
     @classmethod
-    def load(cls, path: Path | None = None) -> Self:
+    def load(cls, path: Path) -> Self:
         """Reads a table that ``python -m dosplan_simple.measure`` wrote.
 
         Args:
-            path: The file; by default the table of constant velocity that ships with the
-                package.
+            path: The file.
 
         Returns:
             The table.
 
         Raises:
-            ValueError: The file is not such a table.
+            ValueError: The file is missing or not such a table.
         """
-        source = path or resources.files("dosplan_simple") / "constant_velocity_error.json"
         try:
-            content: dict[str, Any] = json.loads(source.read_text(encoding="utf-8"))
+            content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
             return cls(
                 predictor=str(content["predictor"]),
                 dt=float(content["dt"]),
@@ -68,9 +66,9 @@ class ErrorTable:
                 samples=tuple(int(x) for x in content["samples"]),
                 command=str(content["command"]),
             )
-        except (json.JSONDecodeError, KeyError, TypeError) as error:
+        except (OSError, json.JSONDecodeError, KeyError, TypeError) as error:
             raise ValueError(
-                f"{source}: not a table of prediction errors ({type(error).__name__}: {error}); "
+                f"{path}: not a table of prediction errors ({type(error).__name__}: {error}); "
                 "make one with python -m dosplan_simple.measure"
             ) from None
 
@@ -240,7 +238,8 @@ class ErrorCirclePredictor(CirclePredictor):
 
         Args:
             z: Factor on the mean error.
-            table: The mean error of ``base``; by default that of constant velocity.
+            table: The mean error of ``base``; by default the one that ships, which is there for
+                the trajectory predictors of this project.
             **options: Seed, horizon and base, see ``CircleOptions``.
 
         Raises:
@@ -248,7 +247,7 @@ class ErrorCirclePredictor(CirclePredictor):
         """
         super().__init__(**options)
         self.z = z
-        self.table = table or ErrorTable.load()
+        self.table = table or ErrorTable.load(shipped_table(self.base.name))
         if self.table.predictor != self.base.name:
             raise ValueError(
                 f"{self.name}: the error table is that of {self.table.predictor}, the base is "
@@ -272,3 +271,15 @@ class ErrorCirclePredictor(CirclePredictor):
         known = self.table.dt * np.arange(len(self.table.mean_error) + 1)
         asked = dt * np.arange(1, self.horizon + 1)
         return np.asarray(self.z * np.interp(asked, known, (0.0, *self.table.mean_error)))
+
+
+def shipped_table(predictor: str) -> Path:
+    """The error table of a trajectory predictor that comes with the package.
+
+    Args:
+        predictor: Its versioned name.
+
+    Returns:
+        The file; it need not be there.
+    """
+    return Path(str(resources.files("dosplan_simple") / "errors" / f"{predictor}.json"))

@@ -23,6 +23,7 @@ from dosplan_simple.sets import (
     ErrorTable,
     FixedCirclePredictor,
     GrowingCirclePredictor,
+    shipped_table,
 )
 
 from dosplan.api import PluginError, Predictor
@@ -227,7 +228,7 @@ def test_circles_lie_around_any_trajectory() -> None:
 
 
 def test_the_shipped_table_grows_and_names_its_command() -> None:
-    table = ErrorTable.load()
+    table = ErrorTable.load(shipped_table(ConstantVelocityPredictor.name))
     assert table.predictor == ConstantVelocityPredictor.name
     assert table.command.startswith("python -m dosplan_simple.measure")
     assert len(table.mean_error) == len(table.samples) == 50

@@ -1,0 +1,1 @@
+"""Dynamic occupancy sets on top of any trajectory predictor."""

@@ -1,0 +1,40 @@
+"""The occupancy-set module as a graph of plain tensors: run by torch, or exported to ONNX."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import torch
+from dosplan_net.features import HISTORY, HISTORY_SIZE, HORIZON
+from dosplan_net.graphs import Graph
+from torch import Tensor
+
+from dosplan_dos.module import OccupancyModule
+
+
+class SetsGraph(Graph):
+    """Features, trajectory, velocity and history in; semi-axes and double angle out."""
+
+    inputs: ClassVar = dict.fromkeys(("features", "trajectory", "velocity", "history"), "targets")
+    outputs: ClassVar = ("semi_axes", "double_angle")
+
+    def __init__(self, module: OccupancyModule) -> None:
+        super().__init__()
+        self.module = module
+        self.eval()
+
+    def forward(
+        self, features: Tensor, trajectory: Tensor, velocity: Tensor, history: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """See ``module.OccupancyModule.forward`` and ``shapes.Ellipses``."""
+        sets = self.module(features, trajectory, velocity, history)
+        return sets.semi_axes, sets.double_angle
+
+    def example(self) -> tuple[Tensor, ...]:
+        """Three road users."""
+        return (
+            torch.zeros(3, self.module.config.features),
+            torch.zeros(3, HORIZON, 2),
+            torch.zeros(3),
+            torch.zeros(3, HISTORY, HISTORY_SIZE),
+        )

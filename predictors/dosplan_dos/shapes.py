@@ -1,0 +1,140 @@
+"""Ellipses by representation, and the distance of a point to them.
+
+The representations are those of "Towards Safe and Reliable Autonomous Driving: Dynamic Occupancy
+Set Prediction" (Shao, Xu, Yu, Li, Wang). Everything here is in the road user's own frame: origin
+at its centre now, x axis along its heading now. An angle is kept as the cosine and sine of its
+double, since an ellipse turned by half a turn is the same one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import torch
+from dosplan_net.features import HORIZON
+from dosplan_net.network import step_seconds
+from torch import Tensor
+from torch.nn import functional
+
+from dosplan_dos.grid import GRID
+
+LEAST_AXIS: Final = 0.05  # m; the shortest semi-axis.
+DRAWN_BACK: Final = 5  # Steps whose displacement gives the direction of the present motion.
+MOVED: Final = 0.3  # m; on a shorter way the heading stands for the direction of motion.
+
+
+class Variant(StrEnum):
+    """How an ellipse is parametrised: which of its axes and angle are learned."""
+
+    CIRCLE = "circle"
+    THETA_0 = "theta-0"
+    THETA_45 = "theta-45"
+    V1 = "v1"
+    V2 = "v2"
+    FREE = "free"
+
+
+@dataclass(frozen=True)
+class Ellipses:
+    """Ellipses around predicted centres.
+
+    Attributes:
+        semi_axes: (B, T, 2) semi-axes a and b, m.
+        double_angle: (B, T, 2) cosine and sine of twice the angle of the first semi-axis.
+    """
+
+    semi_axes: Tensor
+    double_angle: Tensor
+
+    @property
+    def area(self) -> Tensor:
+        """(B, T) area, pi a b, m2."""
+        return math.pi * self.semi_axes.prod(-1)
+
+    def distance(self, error: Tensor) -> Tensor:
+        """Mahalanobis distance: 1 on the boundary.
+
+        Args:
+            error: (B, T, 2) true minus predicted centre, m.
+
+        Returns:
+            (B, T) distance.
+        """
+        inverse = self.semi_axes.square().reciprocal()
+        mean, half = inverse.mean(-1), 0.5 * (inverse[..., 0] - inverse[..., 1])
+        x, y = error[..., 0], error[..., 1]
+        turned = self.double_angle[..., 0] * (x * x - y * y) + 2 * self.double_angle[..., 1] * x * y
+        return (mean * (x * x + y * y) + half * turned).clamp(min=1e-8).sqrt()
+
+
+def grid_steps() -> Tensor:
+    """(G,) columns of a trajectory at which the module makes sets: 0.2 s, 0.4 s, ..., 4 s."""
+    return torch.arange(GRID - 1, HORIZON, GRID)
+
+
+def grid_seconds() -> Tensor:
+    """(G,) their times, s."""
+    return step_seconds()[grid_steps()]
+
+
+def legs(path: Tensor) -> Tensor:
+    """(B, G, 2) way from each point of a path (B, G, 2) to the next, the first from the origin."""
+    return path - functional.pad(path[:, :-1], (0, 0, 1, 0))  # ONNX knows no torch.diff.
+
+
+def ellipses(variant: Variant, raw: Tensor, trajectory: Tensor, history: Tensor) -> Ellipses:
+    """Makes ellipses of a representation out of what the decoder says.
+
+    Semi-axes are softplus values that grow with time, so that the decoder needs only to say how
+    hard a road user is to foresee, not how far the future is.
+
+    Args:
+        variant: The representation.
+        raw: (B, G, 4) the decoder's output: two lengths, cosine and sine of the double angle.
+        trajectory: (B, G, 2) predicted centres, m.
+        history: (B, HISTORY, 6) see ``dosplan_net.features.SceneFeatures``.
+
+    Returns:
+        Ellipses at the steps of the grid.
+    """
+    lengths = functional.softplus(raw[..., :2]) * (0.15 + 0.5 * grid_seconds())[:, None]
+    lengths = lengths + LEAST_AXIS
+    if variant is Variant.CIRCLE:
+        lengths = lengths[..., :1].expand(-1, -1, 2)
+    along = _ahead(lengths)
+    match variant:
+        case Variant.CIRCLE | Variant.THETA_0:
+            angle = along
+        case Variant.THETA_45:
+            angle = along.flip(-1)
+        case Variant.V1:
+            angle = _doubled(_present_motion(history))[:, None].expand_as(along)
+        case Variant.V2:
+            angle = _doubled(legs(trajectory), GRID / DRAWN_BACK)
+        case Variant.FREE:
+            # Next to the origin the direction is undefined; the offset starts it along the heading.
+            angle = functional.normalize(raw[..., 2:4] + along, dim=-1, eps=1e-6)
+    return Ellipses(lengths, angle)
+
+
+def _ahead(like: Tensor) -> Tensor:
+    """Unit vectors along the heading, as many as ``like`` (..., 2) holds."""
+    one = torch.ones_like(like[..., 0])
+    return torch.stack([one, torch.zeros_like(one)], -1)
+
+
+def _present_motion(history: Tensor) -> Tensor:
+    """(B, 2) displacement over the last half second, m; zero where that was not seen."""
+    earlier = history[:, -1 - DRAWN_BACK]
+    return -earlier[:, :2] * earlier[:, 5:]
+
+
+def _doubled(motion: Tensor, share: float = 1.0) -> Tensor:
+    """Cosine and sine of twice a motion's direction; along the heading where it is short."""
+    length = motion.norm(dim=-1, keepdim=True)
+    unit = torch.where(length > MOVED * share, motion / length.clamp(min=1e-6), _ahead(motion))
+    x, y = unit[..., 0], unit[..., 1]
+    return torch.stack([x * x - y * y, 2 * x * y], -1)

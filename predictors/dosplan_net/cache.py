@@ -1,0 +1,380 @@
+"""A memory-mapped cache of training windows, made from folders of scenarios.
+
+A cache is a folder: ``cache.json`` (what it holds, what was left out and why) and one ``.npy``
+file for each array of ``WindowCache``. Every recording is first written to a file of its own
+below ``shards/``, so that a build that was killed goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dosplan.files import write_json
+from dosplan.geometry import wrap_angle
+from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
+from dosplan.simulation import observe
+from dosplan.types import USER_HEADING, Scenario
+from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
+
+FORMAT: Final = 1
+SIMULATED_TAG: Final = "simulated"
+EMPTY: Final = ""  # What extraction answers where nobody's future is recorded.
+MIN_FUTURE: Final = 5  # Steps of recorded future without which a scene teaches nothing.
+
+
+class CacheError(ValueError):
+    """A cache that cannot be built or read; the message is one line."""
+
+
+@dataclass(frozen=True)
+class WindowCache:
+    """Every window of a set of recordings; W windows in S scenes of R recordings, P map pieces.
+
+    A scene is one step of a recording; its windows are its road users, row after row.
+
+    Attributes:
+        scene_start: (S + 1,) first window of each scene, and W.
+        scene_recording: (S,) recording of each scene.
+        pose: (W, 4) x, y relative to the recording's origin, m, heading, rad, velocity, m/s.
+        history: (W, HISTORY, 6) see ``SceneFeatures``.
+        static: (W, STATIC_SIZE) see ``SceneFeatures``.
+        neighbours: (W, NEIGHBOURS) windows of the nearest others, -1 for none.
+        pieces: (W, PIECES) map pieces, -1 for none.
+        moves: (W,) whether the road user can move (it is neither parked nor static).
+        future: (W, HORIZON, 3) x, y, m, and heading, rad, in the road user's frame.
+        future_valid: (W, HORIZON) whether that is recorded.
+        piece_shape: (P, PIECE_POINTS, 3) see ``MapPieces``.
+        piece_attributes: (P, PIECE_ATTRIBUTES) see ``MapPieces``.
+        piece_pose: (P, 3) see ``MapPieces``, relative to the recording's origin.
+        recordings: R names of the files.
+        groups: R names of what was recorded together: the place and the number of its map.
+        simulated: R flags: whether the traffic is simulated.
+    """
+
+    scene_start: npt.NDArray[np.int64]
+    scene_recording: npt.NDArray[np.int64]
+    pose: npt.NDArray[np.float32]
+    history: npt.NDArray[np.float32]
+    static: npt.NDArray[np.float32]
+    neighbours: npt.NDArray[np.int32]
+    pieces: npt.NDArray[np.int32]
+    moves: npt.NDArray[np.bool_]
+    future: npt.NDArray[np.float32]
+    future_valid: npt.NDArray[np.bool_]
+    piece_shape: npt.NDArray[np.float32]
+    piece_attributes: npt.NDArray[np.float32]
+    piece_pose: npt.NDArray[np.float32]
+    recordings: tuple[str, ...]
+    groups: tuple[str, ...]
+    simulated: tuple[bool, ...]
+
+    @property
+    def scenes(self) -> int:
+        """Number S of scenes."""
+        return len(self.scene_recording)
+
+    @classmethod
+    def open(cls, folder: Path) -> WindowCache:
+        """Maps a cache into memory.
+
+        Args:
+            folder: The cache.
+
+        Returns:
+            The cache; its arrays are read from the disk where they are looked at.
+
+        Raises:
+            CacheError: There is no such cache, it is incomplete or of another format.
+        """
+        try:
+            content = json.loads((folder / "cache.json").read_text(encoding="utf-8"))
+            if content["format"] != FORMAT:
+                raise CacheError(
+                    f"{folder}: cache of format {content['format']}, this version reads {FORMAT}; "
+                    "build it again with dosplan data build"
+                )
+            arrays: dict[str, Any] = {
+                name: np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+                for name in ("scene_start", *_LAYOUT)
+            }
+            for name in ("recordings", "groups", "simulated"):
+                arrays[name] = tuple(content[name])
+            return cls(**arrays)
+        except CacheError:
+            raise
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise CacheError(
+                f"{folder}: not a complete cache of windows ({type(error).__name__}: "
+                f"{' '.join(str(error).split())}); make one with dosplan data build DIR --out CACHE"
+            ) from None
+
+
+# What a row of each array stands for, and how it is stored.
+_SCENE, _WINDOW, _PIECE = "scene", "window", "piece"
+_LAYOUT: Final[dict[str, tuple[str, Any]]] = {
+    "scene_recording": (_SCENE, np.int64),
+    "pose": (_WINDOW, np.float32),
+    "history": (_WINDOW, np.float32),
+    "static": (_WINDOW, np.float32),
+    "neighbours": (_WINDOW, np.int32),
+    "pieces": (_WINDOW, np.int32),
+    "moves": (_WINDOW, np.bool_),
+    "future": (_WINDOW, np.float32),
+    "future_valid": (_WINDOW, np.bool_),
+    "piece_shape": (_PIECE, np.float32),
+    "piece_attributes": (_PIECE, np.float32),
+    "piece_pose": (_PIECE, np.float32),
+}
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """What a build put into a cache.
+
+    Attributes:
+        recordings: Recordings in the cache.
+        scenes: Scenes in it.
+        windows: Windows in it.
+        unreadable: A line for each file that could not be read: its name and why.
+        empty: Names of the recordings that end before anything can be learned from them.
+    """
+
+    recordings: int
+    scenes: int
+    windows: int
+    unreadable: tuple[str, ...]
+    empty: tuple[str, ...]
+
+
+def build_cache(
+    folders: Iterable[Path],
+    out: Path,
+    *,
+    every: int = 2,
+    workers: int = 1,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> BuildReport:
+    """Extracts the windows of every recording in some folders.
+
+    Args:
+        folders: Folders of scenarios.
+        out: The cache to make; what an interrupted build left there is used.
+        every: Steps between two scenes of a recording.
+        workers: Processes.
+        progress: Called with how many recordings are done, and of how many.
+
+    Returns:
+        What the cache holds.
+
+    Raises:
+        CacheError: Nothing could be extracted, or ``out`` cannot be written.
+    """
+    # One planning problem per recording is enough: the road users are the same.
+    refs = list({ref.path: ref for f in folders for ref in reversed(find_scenarios(f))}.values())
+    refs.sort(key=lambda ref: ref.path.name)
+    try:
+        (out / "shards").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CacheError(f"{out}: cannot be written ({error.strerror}); name another") from None
+    jobs = [(ref, out / "shards" / f"{_digest(ref.path, every)}.npz", every) for ref in refs]
+    answers: list[str | None] = []
+    with ProcessPoolExecutor(max_workers=workers) as pool:
+        for answer in pool.map(_extract_to, jobs, chunksize=4):
+            answers.append(answer)
+            progress(len(answers), len(jobs))
+    done = list(zip(refs, (shard for _, shard, _ in jobs), answers, strict=True))
+    kept = [(ref, shard) for ref, shard, answer in done if answer is None]
+    left_out = {
+        "unreadable": [answer for _, _, answer in done if answer],
+        "empty": [ref.path.name for ref, _, answer in done if answer == EMPTY],
+    }
+    if not kept:
+        why = f"; the first: {left_out['unreadable'][0]}" if left_out["unreadable"] else ""
+        raise CacheError(f"no windows in {len(jobs)} recordings{why}")
+    return _join(kept, left_out, out, every)
+
+
+def _digest(path: Path, every: int) -> str:
+    """Names a shard after what decides on its content."""
+    key = sha256(f"{FORMAT} {every} {path.name} ".encode())
+    key.update(path.read_bytes())
+    return key.hexdigest()[:24]
+
+
+def _extract_to(job: tuple[ScenarioRef, Path, int]) -> str | None:
+    """Writes a recording's shard; returns why it cannot be read, or ``EMPTY``, where it did not."""
+    ref, shard, every = job
+    if _readable(shard):
+        return None
+    try:
+        scenario = load_scenario(ref)
+    except ScenarioError as error:
+        return str(error)
+    arrays = _extract(scenario, every)
+    if arrays is None:
+        return EMPTY
+    part = shard.with_suffix(".part.npz")
+    np.savez(part, allow_pickle=False, **arrays)
+    part.replace(shard)
+    return None
+
+
+def _readable(shard: Path) -> bool:
+    try:
+        with np.load(shard, allow_pickle=False) as content:
+            return "simulated" in content.files
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return False
+
+
+def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | None:
+    tracks = scenario.tracks
+    pieces = cut_map(scenario.road_map)
+    parts: dict[str, list[npt.NDArray[Any]]] = {
+        name: [] for name, (owner, _) in _LAYOUT.items() if owner == _WINDOW
+    }
+    counts = [0]
+    origin = scenario.task.start[:2]
+    for step in range(0, tracks.steps - MIN_FUTURE, every):
+        observation = observe(scenario, step, scenario.task.start[None], HISTORY)
+        rows = np.flatnonzero(tracks.valid[:, step])
+        future, future_valid = _future(scenario, rows, step)
+        if not np.any(future_valid[:, MIN_FUTURE - 1]):
+            continue
+        features = describe(observation, pieces)
+        parts["pose"].append(features.pose - np.array([*origin, 0.0, 0.0]))
+        parts["history"].append(features.history)
+        parts["static"].append(features.static)
+        parts["neighbours"].append(
+            np.where(features.neighbours < 0, -1, features.neighbours + counts[-1])
+        )
+        parts["pieces"].append(features.pieces)
+        parts["moves"].append(np.array([kind.moves for kind in observation.kinds], dtype=np.bool_))
+        parts["future"].append(future)
+        parts["future_valid"].append(future_valid)
+        counts.append(counts[-1] + len(rows))
+    if len(counts) == 1:
+        return None
+    arrays = {name: np.concatenate(part) for name, part in parts.items()}
+    arrays["scene_start"] = np.array(counts)
+    arrays["piece_shape"] = pieces.shape
+    arrays["piece_attributes"] = pieces.attributes
+    arrays["piece_pose"] = pieces.pose - np.array([*origin, 0.0])
+    arrays["simulated"] = np.array(SIMULATED_TAG in scenario.tags)
+    return arrays
+
+
+def _future(
+    scenario: Scenario, rows: npt.NDArray[np.int64], step: int
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """(N, HORIZON, 3) future in each road user's frame and (N, HORIZON) whether it is recorded."""
+    tracks = scenario.tracks
+    columns = step + 1 + np.arange(HORIZON)
+    index = np.ix_(rows, np.minimum(columns, tracks.steps - 1))
+    valid = tracks.valid[index] & (columns < tracks.steps)
+    now = tracks.states[rows, step]
+    offset = np.where(valid[..., None], tracks.states[index][..., :3] - now[:, None, :3], 0.0)
+    cosine, sine = np.cos(now[:, USER_HEADING, None]), np.sin(now[:, USER_HEADING, None])
+    ahead = offset[..., 0] * cosine + offset[..., 1] * sine
+    aside = offset[..., 1] * cosine - offset[..., 0] * sine
+    return np.stack((ahead, aside, wrap_angle(offset[..., 2])), axis=-1), valid
+
+
+def _join(
+    kept: list[tuple[ScenarioRef, Path]], left_out: dict[str, list[str]], out: Path, every: int
+) -> BuildReport:
+    """Writes the shards one after another into the arrays of a cache."""
+    writers = {name: _Writer(out / f"{name}.npy", dtype) for name, (_, dtype) in _LAYOUT.items()}
+    starts: list[npt.NDArray[np.int64]] = []
+    simulated: list[bool] = []
+    first = {_SCENE: 0, _WINDOW: 0, _PIECE: 0}
+    for recording, (_, shard) in enumerate(kept):
+        with np.load(shard, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+        simulated.append(bool(arrays["simulated"]))
+        starts.append(arrays["scene_start"][:-1] + first[_WINDOW])
+        arrays["scene_recording"] = np.full(len(starts[-1]), recording)
+        for name, owner in (("neighbours", _WINDOW), ("pieces", _PIECE)):
+            arrays[name] = np.where(arrays[name] < 0, -1, arrays[name] + first[owner])
+        for name, writer in writers.items():
+            writer.append(arrays[name])
+        for owner, name in ((_SCENE, "scene_recording"), (_WINDOW, "pose"), (_PIECE, "piece_pose")):
+            first[owner] += len(arrays[name])
+    for writer in writers.values():
+        writer.close()
+    np.save(out / "scene_start.npy", np.append(np.concatenate(starts), first[_WINDOW]))
+    names = [ref.path.name for ref, _ in kept]
+    content = {
+        "format": FORMAT,
+        "every": every,
+        "scenes": first[_SCENE],
+        "windows": first[_WINDOW],
+        "recordings": names,
+        "groups": [recorded_together(name) for name in names],
+        "simulated": simulated,
+        **left_out,
+    }
+    write_json(out / "cache.json", content)
+    return BuildReport(
+        recordings=len(kept),
+        scenes=first[_SCENE],
+        windows=first[_WINDOW],
+        unreadable=tuple(left_out["unreadable"]),
+        empty=tuple(left_out["empty"]),
+    )
+
+
+class _Writer:
+    """Appends to a ``.npy`` file whose length is known at the end only."""
+
+    def __init__(self, path: Path, dtype: Any) -> None:
+        self._file = path.open("wb")
+        self._dtype = np.dtype(dtype)
+        self._rows = 0
+        self._shape: tuple[int, ...] = ()
+
+    def append(self, rows: npt.NDArray[Any]) -> None:
+        if not self._rows:
+            self._shape = rows.shape[1:]
+            self._header()
+        self._file.write(np.ascontiguousarray(rows, dtype=self._dtype).tobytes())
+        self._rows += len(rows)
+
+    def close(self) -> None:
+        self._file.seek(0)
+        self._header()
+        self._file.close()
+
+    def _header(self) -> None:
+        """Writes the header; numpy pads it so that the first length may grow in place."""
+        np.lib.format.write_array_header_1_0(
+            self._file,
+            {
+                "descr": np.lib.format.dtype_to_descr(self._dtype),
+                "fortran_order": False,
+                "shape": (self._rows, *self._shape),
+            },
+        )
+
+
+def recorded_together(name: str) -> str:
+    """Names what a file was recorded with, from its CommonRoad name.
+
+    Args:
+        name: File name, ``USA_US101-10_2_T-1.xml``.
+
+    Returns:
+        Place and number of the map, ``USA_US101-10``: cuts of one recording share them.
+    """
+    return re.split(r"_\d+_|_\d+\.", name.removeprefix("C-"), maxsplit=1)[0]

@@ -1,0 +1,161 @@
+"""The trained network at work in an episode: the map is read once, then one pass a step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from dosplan.types import IntArray, Observation, RoadMap
+from dosplan_net.engine import Engine, Function, Model, open_function
+from dosplan_net.features import HORIZON, Float32Array, MapPieces, cut_map, describe
+
+if TYPE_CHECKING:
+    from dosplan_net.graphs import MapGraph, SceneGraph
+
+SHIPPED = "net.safetensors"
+
+
+def _load_map(weights: Path) -> MapGraph:
+    from dosplan_net.graphs import MapGraph
+    from dosplan_net.training import load_network
+
+    return MapGraph(load_network(weights))
+
+
+def _load_scene(weights: Path) -> SceneGraph:
+    from dosplan_net.graphs import SceneGraph
+    from dosplan_net.training import load_network
+
+    return SceneGraph(load_network(weights))
+
+
+MAP: Final = Model(_load_map, suffix=".map.onnx", option="--network")
+SCENE: Final = Model(_load_scene, suffix=".onnx", option="--network")
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """What the network makes of an observation; M of its N road users can move.
+
+    Attributes:
+        moving: (M,) rows of the observation's road users that can move.
+        features: (M, hidden) features H; (0, 0) where nobody can move.
+        trajectory: (M, HORIZON, 2) x, y in each road user's frame, m.
+        history: (M, HISTORY, 6) see ``features.SceneFeatures``.
+        velocity: (M,) m/s.
+    """
+
+    moving: IntArray
+    features: Float32Array
+    trajectory: Float32Array
+    history: Float32Array
+    velocity: Float32Array
+
+
+class SceneEncoder:
+    """Runs the network on observations and remembers the last one, which many may ask for."""
+
+    def __init__(self, read_map: Function, read_scene: Function) -> None:
+        """Takes the network.
+
+        Args:
+            read_map: The ``MAP`` part of it.
+            read_scene: The ``SCENE`` part of it.
+        """
+        self._read_map = read_map
+        self._read_scene = read_scene
+        self._map: tuple[RoadMap, MapPieces] | None = None
+        self._code: Float32Array = np.zeros((0, 0), dtype=np.float32)
+        self._piece_pose: Float32Array = np.zeros((0, 3), dtype=np.float32)
+        self._origin = np.zeros(3)
+        self._last: tuple[Observation, Encoded] | None = None
+
+    def prepare(self, road_map: RoadMap) -> MapPieces:
+        """Reads a map, unless it is the one that was read last.
+
+        Args:
+            road_map: The map of the episode.
+
+        Returns:
+            Its pieces.
+        """
+        if self._map is not None and self._map[0] is road_map:
+            return self._map[1]
+        pieces = cut_map(road_map)
+        # One piece more, which nobody is told of: not every engine can do with an empty map.
+        (self._code,) = self._read_map(
+            shape=np.pad(pieces.shape, ((0, 1), (0, 0), (0, 0))),
+            attributes=np.pad(pieces.attributes, ((0, 1), (0, 0))),
+        )
+        # Single precision is good for centimetres within kilometres of an origin nearby.
+        if len(pieces.pose):
+            self._origin[:2] = pieces.pose[0, :2]
+        self._piece_pose = np.pad(pieces.pose - self._origin, ((0, 1), (0, 0))).astype(np.float32)
+        self._map, self._last = (road_map, pieces), None
+        return pieces
+
+    def encode(self, observation: Observation) -> Encoded:
+        """Runs the network.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            Features and trajectories of all who can move.
+        """
+        if self._last is not None and self._last[0] is observation:
+            return self._last[1]
+        seen = describe(observation, self.prepare(observation.road_map))
+        moving = np.flatnonzero([kind.moves for kind in observation.kinds])
+        pose = seen.pose.astype(np.float32)
+        pose[:, :2] = seen.pose[:, :2] - self._origin[:2]
+        features = np.zeros((0, 0), dtype=np.float32)
+        trajectory = np.zeros((0, HORIZON, 2), dtype=np.float32)
+        if len(moving):
+            trajectory, features = self._read_scene(
+                pose=pose,
+                history=seen.history,
+                static=seen.static,
+                targets=moving,
+                neighbours=seen.neighbours[moving],
+                pieces=seen.pieces[moving],
+                piece_code=self._code,
+                piece_pose=self._piece_pose,
+            )
+        encoded = Encoded(moving, features, trajectory, seen.history[moving], pose[moving, 3])
+        self._last = (observation, encoded)
+        return encoded
+
+
+def shipped_weights() -> Path:
+    """The weights that come with the package.
+
+    Returns:
+        The file.
+    """
+    return Path(str(resources.files("dosplan_net") / "weights" / SHIPPED))
+
+
+@lru_cache(maxsize=4)
+def shared_encoder(weights: Path, engine: Engine, threads: int) -> SceneEncoder:
+    """One encoder for all predictors of a process that use the same weights in the same way.
+
+    Args:
+        weights: The weights.
+        engine: Who runs the network.
+        threads: Threads it may use.
+
+    Returns:
+        The encoder.
+
+    Raises:
+        EngineError: The engine cannot run these weights.
+        WeightsError: The weights cannot be read.
+    """
+    parts = (open_function(model, weights, engine, threads) for model in (MAP, SCENE))
+    return SceneEncoder(*parts)

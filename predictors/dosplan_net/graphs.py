@@ -1,0 +1,167 @@
+"""The network as graphs of plain tensors: run by torch, or exported to ONNX files."""
+
+from __future__ import annotations
+
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from dosplan.files import write_bytes
+from dosplan_net.engine import EngineError, Model, origin
+from dosplan_net.features import (
+    HISTORY,
+    HISTORY_SIZE,
+    NEIGHBOURS,
+    PIECE_ATTRIBUTES,
+    PIECE_CHANNELS,
+    PIECE_POINTS,
+    PIECES,
+    POSE_SIZE,
+    STATIC_SIZE,
+    Float32Array,
+)
+from dosplan_net.network import Scene, TrajectoryNetwork
+
+OPSET = 17  # Old enough for every onnxruntime that is allowed.
+
+
+class Graph(nn.Module, ABC):
+    """A module whose inputs and outputs are tensors, none of which is optional.
+
+    Attributes:
+        inputs: Names of the inputs, in order, each with a name for the length of its first axis:
+            inputs whose lengths have the same name are equally long.
+        outputs: Names of the outputs, in order.
+    """
+
+    inputs: ClassVar[Mapping[str, str]]
+    outputs: ClassVar[Sequence[str]]
+
+    @abstractmethod
+    def example(self) -> tuple[Tensor, ...]:
+        """Inputs of the right shape, to trace the graph with."""
+
+
+class MapGraph(Graph):
+    """Map pieces in, what the network keeps of them out; see ``network.MapEncoder``."""
+
+    inputs: ClassVar = {"shape": "pieces", "attributes": "pieces"}
+    outputs: ClassVar = ("code",)
+
+    def __init__(self, network: TrajectoryNetwork) -> None:
+        super().__init__()
+        self.encoder = network.map_encoder
+        self.eval()
+
+    def forward(self, shape: Tensor, attributes: Tensor) -> tuple[Tensor]:
+        """(P, points, 3) pieces and (P, attributes) -> (P, width)."""
+        return (self.encoder(shape, attributes),)
+
+    def example(self) -> tuple[Tensor, ...]:
+        """Three pieces."""
+        return torch.zeros(3, PIECE_POINTS, PIECE_CHANNELS), torch.zeros(3, PIECE_ATTRIBUTES)
+
+
+class SceneGraph(Graph):
+    """The fields of ``network.Scene`` in, trajectories and features out."""
+
+    inputs: ClassVar = {
+        "pose": "users",
+        "history": "users",
+        "static": "users",
+        "targets": "targets",
+        "neighbours": "targets",
+        "pieces": "targets",
+        "piece_code": "map",
+        "piece_pose": "map",
+    }
+    outputs: ClassVar = ("trajectory", "features")
+
+    def __init__(self, network: TrajectoryNetwork) -> None:
+        super().__init__()
+        self.network = network
+        self.eval()
+
+    def forward(self, *fields: Tensor) -> tuple[Tensor, Tensor]:
+        """See ``network.TrajectoryNetwork.forward``."""
+        trajectory, features = self.network(Scene(*fields))
+        return trajectory, features
+
+    def example(self) -> tuple[Tensor, ...]:
+        """Five road users, three of which are targets, among seven pieces."""
+        return (
+            torch.zeros(5, POSE_SIZE),
+            torch.zeros(5, HISTORY, HISTORY_SIZE),
+            torch.zeros(5, STATIC_SIZE),
+            torch.arange(3),
+            torch.zeros(3, NEIGHBOURS, dtype=torch.int64),
+            torch.zeros(3, PIECES, dtype=torch.int64),
+            torch.zeros(7, self.network.config.map),
+            torch.zeros(7, 3),
+        )
+
+
+class TorchFunction:
+    """A graph that torch runs; see ``engine.Function``."""
+
+    def __init__(self, graph: Graph, threads: int) -> None:
+        self._graph = graph
+        self._threads = threads
+
+    def __call__(self, **arrays: npt.NDArray[Any]) -> list[Float32Array]:
+        """Runs the graph with its number of threads, which torch keeps for the whole process."""
+        torch.set_num_threads(self._threads)
+        with torch.inference_mode():
+            found = self._graph(*(torch.from_numpy(arrays[name]) for name in self._graph.inputs))
+        return [np.asarray(tensor.numpy(), dtype=np.float32) for tensor in found]
+
+
+def export(model: Model, weights: Path, folder: Path) -> Path:
+    """Writes a model as an ONNX file that notes which weights it was made from.
+
+    Args:
+        model: The kind of model.
+        weights: Its weights.
+        folder: Where to write.
+
+    Returns:
+        The file.
+
+    Raises:
+        EngineError: The package onnx is missing.
+        FileError: The file cannot be written.
+        WeightsError: The weights cannot be read.
+    """
+    try:
+        import onnx
+    except ImportError:
+        raise EngineError('an export needs onnx: pip install "dosplan[onnx]"') from None
+    graph = model.load(weights)
+    with TemporaryDirectory() as scratch, warnings.catch_warnings():
+        traced = Path(scratch) / "traced.onnx"
+        # Tracing warns of every shape that decides a branch: ours decide on empty maps only, and
+        # the encoder never shows the network one. The newer exporter needs yet another package.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            graph,
+            graph.example(),
+            traced,
+            dynamo=False,
+            opset_version=OPSET,
+            input_names=list(graph.inputs),
+            output_names=list(graph.outputs),
+            dynamic_axes={name: {0: length} for name, length in graph.inputs.items()},
+        )
+        content = onnx.load(traced)
+    onnx.helper.set_model_props(content, origin(weights))
+    path = folder / weights.with_suffix(model.suffix).name
+    write_bytes(path, content.SerializeToString())
+    return path

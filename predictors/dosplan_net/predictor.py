@@ -1,0 +1,150 @@
+"""``net-v1``: the trained trajectory network as a predictor. Its sets are points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from dosplan.api import Predictor
+from dosplan.types import (
+    USER_HEADING,
+    FloatArray,
+    IntArray,
+    Observation,
+    Occupancy,
+    PlanningTask,
+    RoadMap,
+)
+from dosplan_net.encoder import shared_encoder, shipped_weights
+from dosplan_net.engine import Engine
+from dosplan_net.features import HORIZON
+
+HEADING_SPAN = 3  # Steps on either side whose chord gives the heading at a step.
+HEADING_MEMORY = 0.5  # m; on a chord that is short against this, the present heading stands.
+
+
+class NetPredictor(Predictor):
+    """Trajectories of the trained network; parked and static road users stay where they are."""
+
+    name = "net-v1"
+
+    def __init__(
+        self,
+        *,
+        seed: int = 0,
+        horizon: int = HORIZON,
+        weights: Path | None = None,
+        threads: int = 1,
+        engine: str = Engine.TORCH,
+    ) -> None:
+        """Loads the network.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            horizon: Number T of steps to predict, at most 40.
+            weights: Weights of another training; the shipped ones by default.
+            threads: Threads that the network may use.
+            engine: Who runs the network: ``torch``, or ``onnx``, which is quicker; its files are
+                made with ``dosplan export``.
+
+        Raises:
+            EngineError: The engine is missing, or cannot run these weights.
+            ValueError: The horizon is longer than the network's.
+            WeightsError: The weights cannot be read.
+        """
+        super().__init__(seed=seed, horizon=horizon)
+        check_horizon(self.name, horizon)
+        self.encoder = shared_encoder(weights or shipped_weights(), Engine(engine), threads)
+
+    @classmethod
+    def weight_files(cls) -> tuple[Path, ...]:
+        """The shipped network.
+
+        Returns:
+            Its file.
+        """
+        return (shipped_weights(),)
+
+    def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
+        """Reads the map.
+
+        Args:
+            task: Start, goal and route of the ego; not looked at.
+            road_map: The map.
+        """
+        self.encoder.prepare(road_map)
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        """Runs the network.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            The trajectories, with points for sets.
+        """
+        encoded = self.encoder.encode(observation)
+        local = encoded.trajectory[:, : self.horizon].astype(np.float64)
+        return placed(observation, encoded.moving, local)
+
+
+def check_horizon(name: str, horizon: int) -> None:
+    """Refuses a horizon that the network was not trained for.
+
+    Args:
+        name: Name of the predictor.
+        horizon: Steps that are asked for.
+
+    Raises:
+        ValueError: They are more than ``HORIZON``.
+    """
+    if horizon > HORIZON:
+        raise ValueError(f"{name} predicts {HORIZON} steps at most, asked for {horizon}")
+
+
+def placed(observation: Observation, moving: IntArray, local: FloatArray) -> Occupancy:
+    """Trajectories in the scenario's frame, with headings along them.
+
+    Args:
+        observation: What is known now; N road users.
+        moving: (M,) rows of those who can move; the others stay where they are.
+        local: (M, T, 2) their trajectories, each in its road user's frame, m.
+
+    Returns:
+        Points for all N road users.
+    """
+    now = observation.states[:, -1]
+    count, steps = len(now), local.shape[1]
+    centre = np.repeat(now[:, None, :2], steps, axis=1)
+    heading = np.repeat(now[:, USER_HEADING, None], steps, axis=1)
+    cosine, sine = np.cos(now[moving, USER_HEADING, None]), np.sin(now[moving, USER_HEADING, None])
+    centre[moving, :, 0] += local[..., 0] * cosine - local[..., 1] * sine
+    centre[moving, :, 1] += local[..., 0] * sine + local[..., 1] * cosine
+    heading[moving] += _turned(local)
+    return Occupancy(
+        ids=observation.ids,
+        centre=centre,
+        semi_axes=np.zeros((count, steps, 2)),
+        angle=heading,
+        valid=np.ones((count, steps), dtype=np.bool_),
+        footprint=observation.size,
+        heading=heading,
+    )
+
+
+def _turned(local: FloatArray) -> FloatArray:
+    """(M, T) heading along (M, T, 2) trajectories against the present one, rad.
+
+    The direction of the chord around each step, drawn towards the present heading where the
+    chord is short: a trajectory that hardly moves says nothing about where its owner looks. One
+    that begins backwards is that of a road user that reverses.
+    """
+    with_start = np.concatenate((np.zeros_like(local[:, :1]), local), axis=1)
+    steps = np.arange(1, with_start.shape[1])
+    later = np.minimum(steps + HEADING_SPAN, with_start.shape[1] - 1)
+    earlier = np.maximum(steps - HEADING_SPAN, 0)
+    chord = with_start[:, later] - with_start[:, earlier]
+    chord *= np.where(chord[:, :1, :1] < 0.0, -1.0, 1.0)
+    turned = np.arctan2(chord[..., 1], chord[..., 0] + HEADING_MEMORY)
+    return np.asarray(np.unwrap(turned, axis=1), dtype=np.float64)

@@ -1,0 +1,301 @@
+"""Trains the trajectory network, and foretells its own training recordings by cross-fitting.
+
+The network that ships learns from every recording, so that its errors on them are smaller than on
+new ones. The occupancy sets are to learn what errors to expect, so they need honest ones. The
+recordings are split into folds, by place and map; for each fold one more network learns from the
+others and then foretells this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from dosplan.files import atomic_file
+from dosplan_net.batches import RawBatch, Selection, forgetful, in_order, mirrored, read_scenes
+from dosplan_net.cache import WindowCache
+from dosplan_net.features import HORIZON
+from dosplan_net.network import NetworkConfig, TrajectoryNetwork
+from dosplan_net.optimise import FitSettings, fit
+from dosplan_net.weights import WeightsError, load_model, load_weights, save_weights
+
+MODEL = "trajectory-network"
+NET = "net"
+
+
+@dataclass(frozen=True)
+class NetTraining:
+    """What ``dosplan train net`` reads from its configuration.
+
+    Attributes:
+        network: Sizes of the network.
+        fit: How each network is trained.
+        folds: Number of networks for cross-fitting.
+        batch: Windows in a batch, about.
+        recorded_weight: How often a recorded scene is drawn for one of a simulation.
+        standing_share: Share of the windows of those who stay where they are that is learned from.
+        forgetting: Share of the histories that are cut short.
+    """
+
+    network: NetworkConfig = field(default_factory=NetworkConfig)
+    fit: FitSettings = field(default_factory=FitSettings)
+    folds: int = 3
+    batch: int = 768
+    recorded_weight: float = 2.0
+    standing_share: float = 0.2
+    forgetting: float = 0.3
+
+
+def stages(config: NetTraining) -> list[str]:
+    """Names the parts of a training, in order.
+
+    Args:
+        config: The training.
+
+    Returns:
+        ``net``, ``fold-0``, ``fold-1``, ...
+    """
+    return [NET, *(f"fold-{k}" for k in range(config.folds))]
+
+
+def train_stage(
+    stage: str,
+    config: NetTraining,
+    caches: Sequence[Path],
+    validation: Path,
+    out: Path,
+    report: Callable[[str], None] = print,
+) -> dict[str, float]:
+    """Trains one part; does nothing where it is done.
+
+    Args:
+        stage: One of ``stages(config)``: ``net`` learns from all recordings, ``fold-k`` from all
+            but those of fold k.
+        config: The training.
+        caches: Caches of training windows.
+        validation: Cache of validation windows.
+        out: Folder of the training; ``STAGE.safetensors`` is written there.
+        report: Called with a line now and then.
+
+    Returns:
+        The figures of the best validation.
+    """
+    target = out / f"{stage}.safetensors"
+    if target.is_file():
+        done: dict[str, float] = load_weights(target, MODEL)[1]["validation"]
+        return done
+    opened = [WindowCache.open(path) for path in caches]
+    folds = assign_folds(opened, config.folds)
+    # The network itself leaves out the fold after the last, which nobody is in.
+    own = config.folds if stage == NET else int(stage.removeprefix("fold-"))
+    scenes = [
+        np.flatnonzero(fold[cache.scene_recording] != own)
+        for cache, fold in zip(opened, folds, strict=True)
+    ]
+    torch.manual_seed(config.fit.seed * 7919 + own)
+    network = TrajectoryNetwork(config.network)
+    source = _Source(opened, scenes, config)
+    held_out = WindowCache.open(validation)
+    figures = fit(
+        network,
+        lambda step: source.loss(network, step),
+        lambda model: displacement(model, held_out),  # type: ignore[arg-type]
+        config.fit,
+        out / stage,
+        lambda line: report(f"{stage}: {line}"),
+    )
+    about = {"model": MODEL, "network": asdict(config.network), "validation": figures}
+    save_weights(target, network.state_dict(), about)
+    return figures
+
+
+def assign_folds(caches: Sequence[WindowCache], folds: int) -> list[npt.NDArray[np.int64]]:
+    """Splits recordings into folds of about as many windows; groups stay together.
+
+    Args:
+        caches: The caches.
+        folds: Number K of folds.
+
+    Returns:
+        For each cache, (R,) the fold of each recording.
+    """
+    windows: dict[str, int] = {}
+    for cache in caches:
+        lengths = np.diff(cache.scene_start)
+        counts = np.bincount(cache.scene_recording, lengths, minlength=len(cache.recordings))
+        for group, count in zip(cache.groups, counts, strict=True):
+            windows[group] = windows.get(group, 0) + int(count)
+    load = np.zeros(folds)
+    fold_of: dict[str, int] = {}
+    for group in sorted(windows, key=lambda name: (-windows[name], name)):
+        fold_of[group] = int(np.argmin(load))
+        load[fold_of[group]] += windows[group]
+    return [np.array([fold_of[group] for group in cache.groups]) for cache in caches]
+
+
+def foretold(caches: Sequence[Path], folder: Path) -> list[npt.NDArray[np.float32]]:
+    """What each recording's network of the cross-fitting, which has not seen it, foretells.
+
+    Args:
+        caches: The caches that the networks were trained on, in that order.
+        folder: Folder of the training; the answer is kept there.
+
+    Returns:
+        For each cache, (W, HORIZON, 2) trajectories, m, in each road user's frame.
+
+    Raises:
+        WeightsError: The networks of the cross-fitting are not there.
+    """
+    fitted = sorted(folder.glob("fold-*.safetensors"))
+    if not fitted:
+        raise WeightsError(
+            f"{folder}: holds no fold-0.safetensors ...; train them with dosplan train net"
+        )
+    opened = [WindowCache.open(path) for path in caches]
+    return [
+        _foretold(cache, fold, len(fitted), folder, f"{number}-{path.name}")
+        for number, (cache, fold, path) in enumerate(
+            zip(opened, assign_folds(opened, len(fitted)), caches, strict=True)
+        )
+    ]
+
+
+def _foretold(
+    cache: WindowCache, fold: npt.NDArray[np.int64], folds: int, folder: Path, name: str
+) -> npt.NDArray[np.float32]:
+    kept = folder / f"foretold-{name}.npy"
+    if kept.is_file():
+        known: npt.NDArray[np.float32] = np.load(kept, mmap_mode="r", allow_pickle=False)
+        return known
+    answer = np.zeros((len(cache.pose), HORIZON, 2), dtype=np.float32)
+    for k in range(folds):
+        network = load_network(folder / f"fold-{k}.safetensors")
+        scenes = np.flatnonzero(fold[cache.scene_recording] == k)
+        for batch, trajectory, _ in run_over(network, Selection(cache, scenes)):
+            answer[batch.windows.numpy()] = trajectory.numpy()
+    with atomic_file(kept) as file:
+        np.save(file, answer)
+    return answer
+
+
+def load_network(path: Path) -> TrajectoryNetwork:
+    """Builds a network from its weights.
+
+    Args:
+        path: The weights.
+
+    Returns:
+        The network, ready to be used.
+
+    Raises:
+        WeightsError: The file is not such weights.
+    """
+    return load_model(
+        path, MODEL, lambda about: TrajectoryNetwork(NetworkConfig(**about["network"]))
+    )
+
+
+def run_over(
+    network: TrajectoryNetwork, selection: Selection, size: int = 4096
+) -> Iterator[tuple[RawBatch, Tensor, Tensor]]:
+    """Runs a network over every window of some scenes.
+
+    Args:
+        network: The network.
+        selection: The scenes.
+        size: Windows in a batch, about.
+
+    Yields:
+        A batch, its (B, HORIZON, 2) trajectories, m, and its (B, hidden) features.
+    """
+    network.eval()
+    with torch.no_grad():
+        for batch in in_order(selection, size):
+            everyone = torch.arange(len(batch.pose))
+            yield batch, *network(batch.scene(network.map_encoder, everyone))
+
+
+def displacement(network: TrajectoryNetwork, cache: WindowCache) -> dict[str, float]:
+    """Displacement errors of those that move or are about to.
+
+    Args:
+        network: The network.
+        cache: Windows with their true futures.
+
+    Returns:
+        ``ade``: mean over every recorded step, m; ``fde``: at the last step, m.
+    """
+    total = torch.zeros(HORIZON)
+    count = torch.zeros(HORIZON)
+    for batch, trajectory, _ in run_over(network, Selection(cache, np.arange(cache.scenes))):
+        error = (trajectory - batch.future[..., :2]).norm(dim=-1)
+        counted = batch.future_valid & batch.instructive[:, None]
+        total += (error * counted).sum(0)
+        count += counted.sum(0)
+    ade = total.sum() / count.sum().clamp(min=1)
+    return {"ade": float(ade), "fde": float(total[-1] / count[-1].clamp(min=1))}
+
+
+class _Source:
+    """Draws batches; what is drawn at a step follows from the seed and the step alone."""
+
+    def __init__(
+        self,
+        caches: Sequence[WindowCache],
+        scenes: Sequence[npt.NDArray[np.int64]],
+        config: NetTraining,
+    ) -> None:
+        self._caches = caches
+        self._config = config
+        # Every scene of every cache in one list, so that one draw mixes them as they are weighed.
+        self._cache_of = np.repeat(np.arange(len(caches)), [len(s) for s in scenes])
+        self._scenes = np.concatenate(scenes)
+        weight = [
+            np.where(np.array(c.simulated)[c.scene_recording[s]], 1.0, config.recorded_weight)
+            for c, s in zip(caches, scenes, strict=True)
+        ]
+        self._ends = np.cumsum(np.concatenate(weight))
+        self._mean_windows = np.mean(
+            np.concatenate([np.diff(c.scene_start)[s] for c, s in zip(caches, scenes, strict=True)])
+        )
+
+    def loss(self, network: TrajectoryNetwork, step: int) -> Tensor:
+        random = np.random.default_rng((self._config.fit.seed, step))
+        drawn = np.searchsorted(
+            self._ends,
+            random.random(max(int(self._config.batch / self._mean_windows), 1)) * self._ends[-1],
+        )
+        total, count = torch.zeros(()), torch.zeros(())
+        for which in np.unique(self._cache_of[drawn]):
+            scenes = self._scenes[drawn[self._cache_of[drawn] == which]]
+            part_total, part_count = self._part(network, int(which), scenes, random)
+            total, count = total + part_total, count + part_count
+        return total / count.clamp(min=1)
+
+    def _part(
+        self,
+        network: TrajectoryNetwork,
+        which: int,
+        scenes: npt.NDArray[np.int64],
+        random: np.random.Generator,
+    ) -> tuple[Tensor, Tensor]:
+        """Summed displacement, m, and number of steps, of scenes of one cache."""
+        batch = read_scenes(self._caches[which], scenes)
+        if random.random() < 0.5:
+            batch = mirrored(batch)
+        batch = forgetful(batch, self._config.forgetting, random)
+        targets = self._targets(batch, random)
+        trajectory, _ = network(batch.scene(network.map_encoder, targets))
+        error = torch.sqrt((trajectory - batch.future[targets, :, :2]).square().sum(-1) + 1e-6)
+        counted = batch.future_valid[targets]
+        return (error * counted).sum(), counted.sum()
+
+    def _targets(self, batch: RawBatch, random: np.random.Generator) -> Tensor:
+        lucky = torch.from_numpy(random.random(len(batch.pose)) < self._config.standing_share)
+        return torch.where(batch.instructive | (lucky & batch.moves & batch.future_valid[:, 0]))[0]

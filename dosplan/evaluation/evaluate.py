@@ -1,0 +1,214 @@
+"""Evaluates methods on a folder of recordings, in worker processes.
+
+A task is one file: whatever breaks there (the file, a method on it, the worker) costs that file
+for every method, so that all methods are compared on the same windows, and is told. Results do
+not depend on the number of workers.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Any
+
+from pebble import ProcessExpired
+
+from dosplan.api import Predictor
+from dosplan.evaluation.limits import MAX_RATIO
+from dosplan.evaluation.methods import Method, build, check_labels
+from dosplan.evaluation.metrics import COVERAGE
+from dosplan.evaluation.samples import FileSamples, PredictionError, sample_file
+from dosplan.evaluation.summary import scales, summarise
+from dosplan.evaluation.windows import HISTORY, HORIZONS
+from dosplan.provenance import describe_environment
+from dosplan.registry import one_line
+from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
+from dosplan.workers import cause_of_death, seed_globals, worker_pool
+
+Progress = Callable[[int, int], None]
+
+
+class EvaluationError(ValueError):
+    """An evaluation that cannot start or has nothing to show; the message is one line."""
+
+
+@dataclass(frozen=True)
+class EvaluationConfig:
+    """What is evaluated; two evaluations of one configuration have the same figures.
+
+    Attributes:
+        source: ``suite``, or a scenario file or folder.
+        methods: The methods.
+        every: Steps between two observations of a recording.
+        scale_on: Recordings on which the sets of OSA@90 are scaled; None scales them on
+            ``source`` itself.
+        workers: Number of worker processes.
+        seed: Seed of everything random.
+    """
+
+    source: str
+    methods: tuple[Method, ...]
+    every: int = 5
+    scale_on: str | None = None
+    workers: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("every", "workers"):
+            if getattr(self, name) < 1:
+                raise EvaluationError(f"{name} is {getattr(self, name)}; it must be 1 or more")
+        if self.seed < 0:
+            raise EvaluationError(f"seed is {self.seed}; it must not be negative")
+        check_labels(self.methods)
+
+
+def evaluate(
+    config: EvaluationConfig, progress: Progress = lambda done, total: None
+) -> dict[str, Any]:
+    """Evaluates every method.
+
+    Args:
+        config: What to evaluate.
+        progress: Called with the number of finished files and of all.
+
+    Returns:
+        The content of ``--json``: rows of ``sets``, ``trajectories``, ``upper_limits`` and
+        ``simultaneous``, and ``data``, which says what they were measured on and lists the
+        files that failed.
+
+    Raises:
+        EvaluationError: There is no window to evaluate, or no worker gets anything done.
+        MethodError: A method cannot be built.
+        ScenarioError: There are no scenarios.
+    """
+    names = [build(method, config.seed).name for method in config.methods]
+    files = _files(config.source)
+    reference = [] if config.scale_on is None else _files(config.scale_on)
+    total = len(reference) + len(files)
+    progress(0, total)
+    failed: list[dict[str, str]] = []
+    factors = None
+    if config.scale_on is not None:
+        known, broken = _sample_all(reference, config, lambda done: progress(done, total))
+        failed += broken
+        _require_windows(known, config.scale_on, broken)
+        factors = scales(known)
+        del known  # As large as what follows.
+    done_before = len(reference)
+    samples, broken = _sample_all(files, config, lambda done: progress(done_before + done, total))
+    failed += broken
+    _require_windows(samples, config.source, broken)
+    labels = [method.label for method in config.methods]
+    return {
+        **summarise(samples, labels, scales(samples) if factors is None else factors),
+        "data": {
+            "source": config.source,
+            "files": len(files),
+            "evaluated": len(samples),
+            "failed": failed,
+            "windows": sum(len(s.kind) for s in samples),
+            "every": config.every,
+            "history": HISTORY,
+            "horizons_s": list(HORIZONS),
+            "scaled_on": config.source if config.scale_on is None else config.scale_on,
+            "scaled_on_itself": config.scale_on is None,
+            "scaled_to": COVERAGE,
+            "max_ratio": MAX_RATIO,
+            "seed": config.seed,
+            "methods": [
+                {**asdict(method), "name": name}
+                for method, name in zip(config.methods, names, strict=True)
+            ],
+            **describe_environment(),
+        },
+    }
+
+
+def sample_path(ref: ScenarioRef, methods: str, every: int, seed: int) -> FileSamples | str:
+    """Evaluates one file; what a worker does.
+
+    Args:
+        ref: The file.
+        methods: The methods as JSON.
+        every: Steps between two observations.
+        seed: Seed of the run.
+
+    Returns:
+        Its samples, or one line that says why there are none.
+    """
+    seed_globals(seed)
+    predictors = _predictors(methods, seed)
+    seed_globals(seed)
+    try:
+        return sample_file(load_scenario(ref), predictors, every)
+    except ScenarioError as error:
+        return str(error)  # It names the file.
+    except PredictionError as error:
+        _predictors.cache_clear()
+        return f"{ref.path}: {error}"
+    except Exception as error:  # A fault of the reader costs one file, too.
+        return f"{ref.path}: {one_line(error)}"
+
+
+@lru_cache(maxsize=1)
+def _predictors(methods: str, seed: int) -> list[tuple[str, Predictor]]:
+    listed = [Method(**method) for method in json.loads(methods)]
+    return [(method.label, build(method, seed)) for method in listed]
+
+
+def _files(source: str) -> list[ScenarioRef]:
+    """One planning problem per file: the recording is the same for all of them."""
+    return list({ref.path: ref for ref in reversed(find_scenarios(source))}.values())[::-1]
+
+
+def _sample_all(
+    files: Sequence[ScenarioRef], config: EvaluationConfig, progress: Callable[[int], None]
+) -> tuple[list[FileSamples], list[dict[str, str]]]:
+    """The samples of all files that can be used, in their order, and what the others lack."""
+    methods = json.dumps([asdict(method) for method in config.methods])
+    results: dict[int, FileSamples | str] = {}
+    with worker_pool(min(config.workers, len(files))) as pool:
+        futures: dict[Future[FileSamples | str], int] = {
+            pool.schedule(sample_path, (ref, methods, config.every, config.seed)): i
+            for i, ref in enumerate(files)
+        }
+        for future in as_completed(futures):
+            i = futures[future]
+            results[i] = _result(future, files[i])
+            progress(len(results))
+    samples: list[FileSamples] = []
+    failed: list[dict[str, str]] = []
+    for i, ref in enumerate(files):
+        result = results[i]
+        if isinstance(result, str):
+            failed.append({"file": ref.path.name, "error": result})
+        else:
+            samples.append(result)
+    return samples, failed
+
+
+def _result(future: Future[FileSamples | str], ref: ScenarioRef) -> FileSamples | str:
+    """What a task returned, or one line on the end of its worker."""
+    try:
+        return future.result()
+    except ProcessExpired as error:
+        return f"{ref.path}: {cause_of_death(error.exitcode)}"
+    except BrokenProcessPool as error:
+        raise EvaluationError(
+            "worker processes die before they take up a file; "
+            "look at the machine's free memory and try fewer --workers"
+        ) from error
+
+
+def _require_windows(
+    samples: Sequence[FileSamples], source: str, failed: Sequence[dict[str, str]]
+) -> None:
+    if not any(len(s.kind) for s in samples):
+        cause = f"; the first that failed: {failed[0]['error']}" if failed else ""
+        raise EvaluationError(
+            f"{source}: no road user that can be predicted has a recorded future{cause}"
+        )

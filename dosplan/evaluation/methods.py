@@ -1,0 +1,159 @@
+"""What is evaluated: predictors with their options, from a YAML file or by name.
+
+A file holds a list; ``options`` are keyword arguments of the predictor's constructor, and an
+option that is itself ``{predictor: NAME, options: {...}}`` is built first::
+
+    - label: circle v1 z=0.7
+      predictor: growing-circle
+      options: {z: 0.7, base: {predictor: constant-turn-rate}}
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from dosplan.api import Predictor
+from dosplan.evaluation.windows import STEPS
+from dosplan.registry import RegistryError, create_predictor
+
+_KEYS: Final = ("label", "predictor", "options")
+
+
+class MethodError(ValueError):
+    """A method that cannot be evaluated as it is written down; the message is one line."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A predictor under the name it has in the tables.
+
+    Attributes:
+        label: That name.
+        predictor: The predictor, as ``dosplan.registry`` finds it.
+        options: Keyword arguments of its constructor: numbers, texts, lists and mappings.
+    """
+
+    label: str
+    predictor: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_methods(path: Path) -> list[Method]:
+    """Reads a file of methods.
+
+    Args:
+        path: The YAML file.
+
+    Returns:
+        The methods, in its order.
+
+    Raises:
+        MethodError: It cannot be read or is not such a list.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MethodError(f"cannot read {path}: {error.strerror or error}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise MethodError(f"{path} is not YAML: {error}") from None
+    if not isinstance(content, list) or not content:
+        raise MethodError(f"{path}: expected a list of methods, each with {', '.join(_KEYS)}")
+    return [_method(entry, f"{path}: method {i}") for i, entry in enumerate(content, start=1)]
+
+
+def check_labels(methods: Sequence[Method]) -> None:
+    """Refuses two methods with one label, which a table could not tell apart.
+
+    Args:
+        methods: All that are to be evaluated.
+
+    Raises:
+        MethodError: There are none, or a label is there twice.
+    """
+    if not methods:
+        raise MethodError("nothing to evaluate; name a --methods file or a --predictor")
+    label, count = Counter(method.label for method in methods).most_common(1)[0]
+    if count > 1:
+        raise MethodError(f"{count} methods have the label {label!r}; give each its own")
+
+
+def build(method: Method, seed: int) -> Predictor:
+    """Makes the predictor of a method.
+
+    Args:
+        method: The method.
+        seed: Seed of the run, for it and for the predictors among its options.
+
+    Returns:
+        The predictor.
+
+    Raises:
+        MethodError: It cannot be built, or does not predict far enough.
+    """
+    try:
+        predictor = _build(method.predictor, method.options, seed)
+    except (RegistryError, MethodError) as error:
+        raise MethodError(f"method {method.label!r}: {error}") from error
+    if predictor.horizon < STEPS:
+        raise MethodError(
+            f"method {method.label!r} predicts {predictor.horizon} steps; "
+            f"give it a horizon of {STEPS}"
+        )
+    return predictor
+
+
+def _build(spec: str, options: Mapping[str, Any], seed: int) -> Predictor:
+    built = {name: _option(value, name, seed) for name, value in options.items()}
+    return create_predictor(spec, seed, built)
+
+
+def _option(value: Any, name: str, seed: int) -> Any:
+    if not isinstance(value, Mapping) or "predictor" not in value:
+        return value
+    spec, options = _predictor(value, _KEYS[1:], f"option {name!r}")
+    return _build(spec, options, seed)
+
+
+def _method(entry: Any, where: str) -> Method:
+    if not isinstance(entry, Mapping):
+        raise MethodError(f"{where} is no mapping of {', '.join(_KEYS)}")
+    spec, options = _predictor(entry, _KEYS, where)
+    label = entry.get("label")
+    if not isinstance(label, str) or not label:
+        raise MethodError(f"{where} has no label; give it a text")
+    try:
+        json.dumps(options, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise MethodError(
+            f"{where} ({label}): options must be finite numbers, texts, lists and mappings: {error}"
+        ) from None
+    return Method(label, spec, options)
+
+
+def _predictor(
+    entry: Mapping[Any, Any], keys: Iterable[str], where: str
+) -> tuple[str, Mapping[str, Any]]:
+    """The predictor's name and its options, checked."""
+    keys = tuple(keys)
+    for key in entry:
+        if key not in keys:
+            close = get_close_matches(str(key), keys, n=1)
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise MethodError(
+                f"{where} has the unknown key {key!r}{hint} (keys: {', '.join(keys)})"
+            )
+    spec, options = entry.get("predictor"), entry.get("options")
+    if not isinstance(spec, str) or not spec:
+        raise MethodError(f"{where} names no predictor; give one of `dosplan list predictors`")
+    options = {} if options is None else options
+    if not isinstance(options, Mapping) or not all(isinstance(key, str) for key in options):
+        raise MethodError(f"{where}: options is no mapping of names to values")
+    return spec, options

@@ -1,0 +1,186 @@
+"""The figures of an evaluation, as pure functions of arrays.
+
+Shapes: ``...`` is any, W are windows (one road user seen at one step). Lengths are metres, areas
+square metres. CR and OSA are those of "Towards Safe and Reliable Autonomous Driving: Dynamic
+Occupancy Set Prediction" (Shao, Xu, Yu, Li, Wang).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from dosplan.types import BoolArray, FloatArray, IntArray
+
+COVERAGE: Final = 0.9  # What the sets of OSA@90 cover.
+
+Floats = npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A share or a mean with its standard error.
+
+    Attributes:
+        value: The ratio; None where nothing was counted.
+        error: Its standard error over scenarios; None with fewer than two scenarios.
+        n: How many windows were counted.
+    """
+
+    value: float | None
+    error: float | None
+    n: int
+
+
+def displacement(predicted: FloatArray, truth: FloatArray) -> FloatArray:
+    """Distance between predicted and true centres.
+
+    Args:
+        predicted: (..., 2) predicted centres, m.
+        truth: (..., 2) true centres, m.
+
+    Returns:
+        (...) m; NaN where either is.
+    """
+    return np.asarray(np.linalg.norm(predicted - truth, axis=-1))
+
+
+def average_displacement(total: FloatArray, count: IntArray) -> float | None:
+    """ADE: the mean displacement over every pair of window and step that counts.
+
+    A window whose recording ends early weighs less, by its missing steps.
+
+    Args:
+        total: (W,) sum of the displacements of a window, m.
+        count: (W,) number of steps in that sum.
+
+    Returns:
+        m, or None where no pair counts.
+    """
+    pairs = int(count.sum())
+    return float(total.sum()) / pairs if pairs else None
+
+
+def mean_displacement(error: Floats) -> float | None:
+    """Mean displacement at one step; at the last one, FDE.
+
+    Args:
+        error: (W,) displacements, m; NaN where there is no truth or no prediction.
+
+    Returns:
+        m, or None where nothing counts.
+    """
+    counted = np.isfinite(error)
+    return float(error[counted].mean(dtype=np.float64)) if counted.any() else None
+
+
+def mahalanobis(
+    point: FloatArray, centre: FloatArray, semi_axes: FloatArray, angle: FloatArray
+) -> FloatArray:
+    """Distance of a point to an ellipse's centre in multiples of the ellipse: 1 on its boundary.
+
+    With (u, v) the point in the frame of the axes, d = sqrt((u / a)^2 + (v / b)^2). Along a
+    semi-axis of zero there is the centre only: every other point is infinitely far.
+
+    Args:
+        point: (..., 2) points, m.
+        centre: (..., 2) centres, m.
+        semi_axes: (..., 2) semi-axes a and b, m, >= 0.
+        angle: (...) direction of the first semi-axis, rad.
+
+    Returns:
+        (...) distances; NaN where a point or a centre is.
+    """
+    x, y = np.moveaxis(point - centre, -1, 0)
+    cos, sin = np.cos(angle), np.sin(angle)
+    local = np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
+    outside = np.where(local == 0.0, 0.0, np.inf)
+    scaled = np.divide(np.abs(local), semi_axes, out=outside, where=semi_axes > 0.0)
+    distance = np.hypot(scaled[..., 0], scaled[..., 1])
+    return np.where(np.isnan(x) | np.isnan(y), np.nan, distance)
+
+
+def ellipse_area(semi_axes: FloatArray) -> FloatArray:
+    """Area of an ellipse, pi a b (the paper's pi/4 l w with l = 2 a and w = 2 b).
+
+    Args:
+        semi_axes: (..., 2) semi-axes, m.
+
+    Returns:
+        (...) m2.
+    """
+    return np.asarray(np.pi * semi_axes[..., 0] * semi_axes[..., 1])
+
+
+def covered(distance: Floats) -> BoolArray:
+    """Whether a point is in its set; its boundary belongs to it.
+
+    Args:
+        distance: (...) Mahalanobis distances.
+
+    Returns:
+        (...) False where the distance is NaN.
+    """
+    return np.asarray(distance <= 1.0)
+
+
+def clustered_ratio(values: npt.NDArray[Any], cluster: IntArray) -> Ratio:
+    """Mean over windows with a standard error that knows that a scenario's windows are alike.
+
+    The mean is a ratio of sums over scenarios c, R = sum y_c / sum n_c, and its error that of
+    the ratio estimator (Cochran, "Sampling Techniques", 3rd ed., section 2.11 and ch. 6):
+    var R = C / (C - 1) * sum (y_c - R n_c)^2 / (sum n_c)^2, C the number of scenarios that have
+    a window at all.
+
+    Args:
+        values: (W,) what is averaged; booleans give a share.
+        cluster: (W,) index of the scenario, >= 0.
+
+    Returns:
+        The mean, its error and W.
+    """
+    if not len(values):
+        return Ratio(None, None, 0)
+    total = np.bincount(cluster, weights=values)
+    count = np.bincount(cluster)
+    mean = float(total.sum() / len(values))
+    clusters = int(np.count_nonzero(count))
+    if clusters < 2:
+        return Ratio(mean, None, len(values))
+    spread = np.sum((total - mean * count) ** 2) * clusters / (clusters - 1)
+    return Ratio(mean, float(np.sqrt(spread)) / len(values), len(values))
+
+
+def covering_scale(distance: Floats, coverage: float = COVERAGE) -> float | None:
+    """The smallest factor on all semi-axes that makes the sets cover a share of the windows.
+
+    Args:
+        distance: (W,) Mahalanobis distances to the sets as predicted.
+        coverage: The wanted share.
+
+    Returns:
+        The factor: the quantile of the distances, itself one of them; None where there are no
+        windows, or where no factor will do since sets are points.
+    """
+    if not len(distance):
+        return None
+    quantile: Callable[..., Any] = np.quantile
+    factor = float(quantile(distance, coverage, method="inverted_cdf"))
+    return factor if np.isfinite(factor) else None
+
+
+def scaled_area(area: float | None, scale: float | None) -> float | None:
+    """Mean area of sets whose semi-axes are multiplied by a factor: OSA@90.
+
+    Args:
+        area: Mean area as predicted, m2.
+        scale: The factor of ``covering_scale``.
+
+    Returns:
+        m2; None where either is missing or the sets have no area.
+    """
+    return None if scale is None or not area else area * scale**2

@@ -1,0 +1,144 @@
+"""Tables of an evaluation, in the layout of the paper's Table 1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Final
+
+from rich.console import Group, RenderableType
+
+from dosplan.evaluation.groups import SPEED_BINS
+from dosplan.report.tables import markdown, table
+
+Block = tuple[str, list[str], list[list[str]]]
+Row = Mapping[str, Any]
+
+_MAIN_GROUPS: Final = ("all", "moving")
+
+
+def evaluation_tables(figures: Mapping[str, Any]) -> RenderableType:
+    """Lays an evaluation out for the terminal.
+
+    Args:
+        figures: What ``evaluate`` returned.
+
+    Returns:
+        What it was measured on; sets of all and of moving road users; coverage by speed;
+        trajectories; upper limits. Further groups are in the figures alone.
+    """
+    parts: list[RenderableType] = [_on(figures["data"])]
+    for title, headings, rows in _blocks(figures):
+        parts += [f"\n{title}", table(headings, rows)]
+    return Group(*parts)
+
+
+def evaluation_markdown(figures: Mapping[str, Any]) -> str:
+    """Writes the same tables as Markdown.
+
+    Args:
+        figures: What ``evaluate`` returned.
+
+    Returns:
+        The text.
+    """
+    blocks = ["# Evaluation", _on(figures["data"])]
+    for title, headings, rows in _blocks(figures):
+        blocks += [f"## {title}", markdown(headings, rows)]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _on(data: Row) -> str:
+    itself = " (the data evaluated itself)" if data["scaled_on_itself"] else ""
+    return (
+        f"{data['windows']} windows of {data['evaluated']} files of {data['source']} "
+        f"({len(data['failed'])} failed), one every {data['every']} steps.\nOSA@90: sets scaled "
+        f"to cover {100 * data['scaled_to']:g} % of all windows of {data['scaled_on']}{itself}"
+    )
+
+
+def _blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
+    """The tables: title, headings, cells."""
+    seconds = [f"{t:g}" for t in figures["data"]["horizons_s"]]
+    sets = _by(figures["sets"], "method", "group")
+    together = _by(figures["simultaneous"], "method", "group")
+    groups = {row["group"] for row in figures["sets"]}
+    methods = list(dict.fromkeys(row["method"] for row in figures["sets"]))
+    shown = [group for group in _MAIN_GROUPS if group in groups]
+    for group in shown:
+        counts = ", ".join(str(row["n"]) for row in sets[methods[0], group])
+        yield (
+            f"Sets, {group} (n at {', '.join(seconds)} s: {counts})",
+            [
+                "Method",
+                *(f"CR % {t} s" for t in seconds),
+                "CR % all steps",
+                *(f"{name} {t} s" for name in ("OSA m2", "OSA@90") for t in seconds),
+            ],
+            [
+                [
+                    method,
+                    *(_share(row["cr"], row["cr_se"]) for row in sets[method, group]),
+                    *(_share(r["coverage"], r["coverage_se"]) for r in together[method, group]),
+                    *(_number(row["osa"]) for row in sets[method, group]),
+                    *(_number(row["osa90"]) for row in sets[method, group]),
+                ]
+                for method in methods
+            ],
+        )
+    bins = [name for name in SPEED_BINS if name in groups]
+    yield (
+        f"CR % by speed, at {', '.join(seconds)} s",
+        ["Method", *bins],
+        [
+            [method, *(" / ".join(_percent(r["cr"]) for r in sets[method, name]) for name in bins)]
+            for method in methods
+        ],
+    )
+    yield (
+        "Trajectories, m",
+        ["Model", "Group", "ADE", "FDE", *(f"{t} s" for t in seconds), "n"],
+        [
+            [
+                row["model"],
+                row["group"],
+                *(_number(x) for x in (row["ade"], row["fde"], *row["displacement"])),
+                str(row["n"]),
+            ]
+            for row in figures["trajectories"]
+            if row["group"] in (*_MAIN_GROUPS, *SPEED_BINS)
+        ],
+    )
+    limits = _by(figures["upper_limits"], "model", "representation", "group")
+    yield (
+        f"Upper limits: mean area of the smallest set that touches the truth, m2 "
+        f"(ellipses up to {figures['data']['max_ratio']:g} : 1)",
+        ["Model", "Set", *(f"{group} {t} s" for group in shown for t in seconds)],
+        [
+            [
+                model,
+                representation,
+                *(_number(r["area"]) for g in shown for r in limits[model, representation, g]),
+            ]
+            for model, representation in dict.fromkeys(key[:2] for key in limits)
+        ],
+    )
+
+
+def _by(rows: Sequence[Row], *keys: str) -> dict[tuple[str, ...], list[Row]]:
+    """Rows that agree on some keys, in their order."""
+    found: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        found.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return found
+
+
+def _or_dash(form: Callable[[float], str]) -> Callable[[float | None], str]:
+    return lambda value: "-" if value is None else form(value)
+
+
+_number = _or_dash(lambda value: f"{value:.3g}" if value < 10.0 else f"{value:.1f}")
+_percent = _or_dash(lambda value: f"{100.0 * value:.1f}")
+
+
+def _share(value: float | None, error: float | None) -> str:
+    return _percent(value) if error is None else f"{_percent(value)} ±{_percent(error)}"

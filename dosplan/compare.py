@@ -19,6 +19,7 @@ from dosplan.results import read_run
 from dosplan.types import Arm, FloatArray, Outcome, Score
 
 RESAMPLES: Final = 10_000
+_DRAWN_AT_ONCE: Final = 1_000_000
 _SEED: Final = 0  # The interval is part of the result, so it is the same each time.
 
 _VERDICTS: Final[dict[str, Callable[[Score], bool]]] = {
@@ -210,8 +211,14 @@ def _compare_verdicts(a: FloatArray, b: FloatArray) -> Difference:
 
 def _compare_means(a: FloatArray, b: FloatArray) -> Difference:
     difference = b - a
-    picks = np.random.default_rng(_SEED).integers(len(a), size=(RESAMPLES, len(a)))
-    low, high = np.percentile(difference[picks].mean(axis=1), [2.5, 97.5])
+    rng = np.random.default_rng(_SEED)
+    means = np.empty(RESAMPLES)
+    block = max(_DRAWN_AT_ONCE // len(a), 1)  # A million scenarios would not fit at once.
+    for first in range(0, RESAMPLES, block):
+        part = means[first : first + block]
+        picks = rng.integers(len(a), size=(len(part), len(a)))
+        part[:] = difference[picks].mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5])
     return Difference(
         n=len(a),
         a=float(a.mean()),

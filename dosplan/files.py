@@ -7,7 +7,9 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Final
+
+_HALF: Final = ".part"  # Ends the name of a file that is being written.
 
 
 class FileError(RuntimeError):
@@ -28,11 +30,12 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
         FileError: It cannot be written (no room, no permission, ...).
     """
     # The process id keeps two runs that write to one folder by mistake off each other's toes.
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{_HALF}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            with temporary.open("wb") as file:
+            temporary.unlink(missing_ok=True)  # Never write through a link that stands there.
+            with temporary.open("xb") as file:
                 yield file
                 file.flush()
                 os.fsync(file.fileno())
@@ -41,6 +44,31 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def remove_half_written(folder: Path, name: str = "*") -> None:
+    """Removes what writers that were killed left behind.
+
+    Args:
+        folder: The folder; nobody may be writing to it.
+        name: Pattern of the files that were to be written.
+    """
+    for path in folder.glob(f".{name}.*{_HALF}"):
+        path.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Writes a file, whole or not at all.
+
+    Args:
+        path: The file.
+        data: What to write.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    with atomic_file(path) as file:
+        file.write(data)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -53,8 +81,7 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         FileError: It cannot be written.
     """
-    with atomic_file(path) as file:
-        file.write(text.encode())
+    write_bytes(path, text.encode())
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -89,5 +116,5 @@ def read_json(path: Path) -> Any:
         raise FileError(f"{path} is missing") from None
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise FileError(f"{path} is not JSON: {error}") from None

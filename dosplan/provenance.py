@@ -6,7 +6,7 @@ import os
 import platform
 import subprocess
 from collections.abc import Iterable
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
@@ -61,11 +61,15 @@ def content_digest(paths: Iterable[Path]) -> str:
     total = sha256()
     for path in paths:
         try:
-            data = path.read_bytes()
+            if not path.is_file():  # A pipe or a device could keep us waiting for ever.
+                raise FileNotFoundError(path)
+            with path.open("rb") as file:
+                digest = file_digest(file, "sha256").hexdigest()
+                size = file.tell()
         except OSError:
             total.update(b"unreadable\n")
         else:
-            total.update(f"{len(data)} {sha256(data).hexdigest()}\n".encode())
+            total.update(f"{size} {digest}\n".encode())
     return total.hexdigest()
 
 

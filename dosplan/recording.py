@@ -8,7 +8,10 @@ the ego and for every fifth predicted step.
 
 from __future__ import annotations
 
+import io
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from dosplan.files import FileError, atomic_file
+from dosplan.files import FileError
 from dosplan.types import Arm, BoolArray, Episode, EpisodeEnd, FloatArray, IntArray, Occupancy
 from dosplan.vehicle import VehicleParameters
 
@@ -84,16 +87,15 @@ class Recording:
         return self.predict_ms + self.plan_ms
 
 
-def save_recording(path: Path, episode: Episode, vehicle: VehicleParameters) -> None:
-    """Writes an episode's file, whole or not at all.
+def pack_recording(episode: Episode, vehicle: VehicleParameters) -> bytes:
+    """Packs what an episode's file holds.
 
     Args:
-        path: Where to, ending with ``.npz``.
         episode: The episode.
         vehicle: Gives the rectangle's centre for a planned state.
 
-    Raises:
-        FileError: The file cannot be written.
+    Returns:
+        Content of the ``.npz`` file.
     """
     origin = episode.states[0, :2]
     reports = [plan.report for plan in episode.plans]
@@ -115,15 +117,16 @@ def save_recording(path: Path, episode: Episode, vehicle: VehicleParameters) -> 
         "plan_centres": _grain(_planned_centres(episode, vehicle) - origin),
         **_kept_sets(episode, origin),
     }
-    with atomic_file(path) as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays)
+    file = io.BytesIO()
+    np.savez_compressed(file, allow_pickle=False, **arrays)
+    return file.getvalue()
 
 
 def load_recording(path: Path) -> Recording:
     """Reads an episode's file.
 
     Args:
-        path: A file of ``save_recording``.
+        path: A file that holds what ``pack_recording`` gave.
 
     Returns:
         The recording, in the scenario's frame.
@@ -131,9 +134,8 @@ def load_recording(path: Path) -> Recording:
     Raises:
         FileError: The file is missing or is not such a file.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+    with _opened(path) as file:
+        arrays = {name: file[name] for name in file.files}
         origin = arrays["states"][0, :2]
         return Recording(
             scenario_id=str(arrays["scenario_id"]),
@@ -158,6 +160,30 @@ def load_recording(path: Path) -> Recording:
             set_semi_axes=arrays["set_semi_axes"].astype(np.float64),
             set_angles=arrays["set_angles"].astype(np.float64),
         )
+
+
+def load_cycle_ms(path: Path) -> FloatArray:
+    """Reads the times of an episode's planning cycles, and nothing else of its file.
+
+    Args:
+        path: A file that holds what ``pack_recording`` gave.
+
+    Returns:
+        (C,) time of each full cycle, predict and plan, ms.
+
+    Raises:
+        FileError: The file is missing or is not such a file.
+    """
+    with _opened(path) as file:
+        return np.asarray(file["predict_ms"].astype(np.float64) + file["plan_ms"])
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """The arrays of a file; whatever is wrong with them in the block is told in one line."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            yield file
     except FileNotFoundError:
         raise FileError(f"{path} is missing") from None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:

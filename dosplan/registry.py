@@ -11,14 +11,14 @@ import importlib.util
 import inspect
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import Enum
 from hashlib import sha256
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 from dosplan.api import Planner, Predictor
@@ -68,28 +68,30 @@ def list_plugins(kind: PluginKind) -> list[PluginInfo]:
     return sorted(offers, key=lambda offer: (offer.name, offer.distribution))
 
 
-def find_planner(spec: str) -> type[Planner]:
+def find_planner(spec: str, options: Collection[str] = ()) -> type[Planner]:
     """Imports the planner that ``spec`` names.
 
     Args:
         spec: Entry-point name, ``module:Class`` or ``path/to/file.py:Class``.
+        options: Names of further keyword arguments that its constructor has to take.
 
     Returns:
         Its class.
 
     Raises:
-        RegistryError: There is no such planner, two distributions offer it, its import fails or
-            it is not a complete ``Planner``.
+        RegistryError: There is no such planner, two distributions offer it, its import fails, it
+            is not a complete ``Planner`` or takes no such option.
     """
-    found: type[Planner] = _find(spec, PluginKind.PLANNER)
+    found: type[Planner] = _find(spec, PluginKind.PLANNER, options)
     return found
 
 
-def find_predictor(spec: str) -> type[Predictor]:
+def find_predictor(spec: str, options: Collection[str] = ()) -> type[Predictor]:
     """Imports the predictor that ``spec`` names.
 
     Args:
         spec: Entry-point name, ``module:Class`` or ``path/to/file.py:Class``.
+        options: Names of further keyword arguments that its constructor has to take.
 
     Returns:
         Its class.
@@ -97,41 +99,47 @@ def find_predictor(spec: str) -> type[Predictor]:
     Raises:
         RegistryError: As for ``find_planner``.
     """
-    found: type[Predictor] = _find(spec, PluginKind.PREDICTOR)
+    found: type[Predictor] = _find(spec, PluginKind.PREDICTOR, options)
     return found
 
 
-def create_planner(spec: str, seed: int) -> Planner:
+def create_planner(
+    spec: str, seed: int, options: Mapping[str, object] = MappingProxyType({})
+) -> Planner:
     """Builds the planner that ``spec`` names.
 
     Args:
         spec: As for ``find_planner``.
         seed: Seed of the run.
+        options: Further keyword arguments of its constructor.
 
     Returns:
         The planner.
 
     Raises:
-        RegistryError: It cannot be found or its constructor raises.
+        RegistryError: It cannot be found, takes no such option or its constructor raises.
     """
-    planner: Planner = _create(find_planner(spec), spec, seed, PluginKind.PLANNER)
+    planner: Planner = _create(spec, seed, options, PluginKind.PLANNER)
     return planner
 
 
-def create_predictor(spec: str, seed: int) -> Predictor:
+def create_predictor(
+    spec: str, seed: int, options: Mapping[str, object] = MappingProxyType({})
+) -> Predictor:
     """Builds the predictor that ``spec`` names.
 
     Args:
         spec: As for ``find_predictor``.
         seed: Seed of the run.
+        options: Further keyword arguments of its constructor.
 
     Returns:
         The predictor.
 
     Raises:
-        RegistryError: It cannot be found or its constructor raises.
+        RegistryError: It cannot be found, takes no such option or its constructor raises.
     """
-    predictor: Predictor = _create(find_predictor(spec), spec, seed, PluginKind.PREDICTOR)
+    predictor: Predictor = _create(spec, seed, options, PluginKind.PREDICTOR)
     return predictor
 
 
@@ -183,7 +191,7 @@ def _distribution(entry_point: EntryPoint) -> str:
     return entry_point.dist.name if entry_point.dist is not None else "unknown"
 
 
-def _find(spec: str, kind: PluginKind) -> Any:
+def _find(spec: str, kind: PluginKind, options: Collection[str]) -> Any:
     target = spec if ":" in spec else _installed(spec, kind)
     location, _, attribute = target.rpartition(":")
     if not location or not attribute:
@@ -204,6 +212,7 @@ def _find(spec: str, kind: PluginKind) -> Any:
         hint = _suggest(attribute, names)
         raise RegistryError(f"{kind.word} {spec!r}: {location} has no {attribute}{hint}")
     _check_class(found, spec, kind)
+    _check_options(found, options, spec, kind)
     return found
 
 
@@ -266,8 +275,38 @@ def _check_class(found: object, spec: str, kind: PluginKind) -> None:
         )
 
 
-def _create(found: Any, spec: str, seed: int, kind: PluginKind) -> Any:
+def _check_options(found: Any, options: Collection[str], spec: str, kind: PluginKind) -> None:
+    taken = _options(found)
+    for name in options:
+        if taken is not None and name not in taken:
+            raise RegistryError(
+                f"{kind.word} {spec!r} takes no option {name!r}{_suggest(name, taken)} "
+                f"(options: {', '.join(taken) or 'none'})"
+            )
+
+
+def _create(spec: str, seed: int, options: Mapping[str, object], kind: PluginKind) -> Any:
+    found = _find(spec, kind, options)
     try:
-        return found(seed=seed)
+        return found(seed=seed, **options)
     except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
         raise RegistryError(f"{kind.word} {spec!r} cannot be built: {one_line(error)}") from error
+
+
+def _options(plugin: type[Any]) -> list[str] | None:
+    """Names of the keyword arguments a class can be built with besides the seed.
+
+    A constructor that hands ``**options`` on takes those of the next class as well.
+
+    Returns:
+        The names, sorted; None where the constructors do not say.
+    """
+    names: set[str] = set()
+    for owner in plugin.__mro__:
+        if "__init__" not in vars(owner) or owner is object:
+            continue
+        parameters = list(inspect.signature(vars(owner)["__init__"]).parameters.values())[1:]
+        names |= {p.name for p in parameters if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
+        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+            return sorted(names - {"seed"})
+    return None

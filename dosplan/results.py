@@ -30,7 +30,7 @@ from urllib.parse import quote
 import numpy as np
 
 from dosplan.files import FileError, atomic_file, read_json
-from dosplan.recording import load_recording
+from dosplan.recording import load_cycle_ms
 from dosplan.types import Arm, CollisionClass, FloatArray, Outcome, Score
 
 _LONGEST_NAME: Final = 200  # File systems allow 255 bytes; endings need some of them.
@@ -122,9 +122,10 @@ class RunFolder:
         Returns:
             Its path.
         """
-        name = quote(scenario, safe="@")
+        data = scenario.encode(errors="surrogateescape")  # It may be that of a file name.
+        name = quote(data, safe="@")
         if len(name) > _LONGEST_NAME:
-            digest = sha256(scenario.encode()).hexdigest()[:16]
+            digest = sha256(data).hexdigest()[:16]
             name = f"{name[: _LONGEST_NAME - len(digest) - 1]}-{digest}"
         return self.path / "episodes" / f"{name}.{arm.value}.npz"
 
@@ -205,7 +206,7 @@ def read_rows(path: Path) -> list[Score]:
     for number, line in enumerate(lines, start=1):
         try:
             rows.append(_score(json.loads(line, parse_constant=_refuse)))
-        except (ValueError, TypeError, KeyError) as error:
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise FileError(
                 f"{path}, line {number}, is not a row of this version ({error}); "
                 "delete the line to have its episode driven again"
@@ -315,7 +316,7 @@ def pooled_cycle_ms(folder: RunFolder, rows: Iterable[Score], arm: Arm) -> Float
         FileError: The file of an episode that has cycles is missing or broken.
     """
     times = [
-        load_recording(folder.recording(row.scenario, arm)).cycle_ms
+        load_cycle_ms(folder.recording(row.scenario, arm))
         for row in rows
         if row.arm is arm and row.cycle_ms_p50 is not None
     ]

@@ -20,12 +20,20 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
+from shutil import copy
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
+from dosplan_dos.predictor import DEFAULT_SETS, SETS, DosPredictor, shipped_sets
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.nlp import MpcProblem
+from dosplan_net.encoder import MAP, SCENE, shipped_weights
+from dosplan_net.engine import Engine
+from dosplan_net.features import HISTORY, cut_map, describe
+from dosplan_net.graphs import export
 from rich.console import Console
 
 from dosplan.api import Planner, Predictor
@@ -36,12 +44,15 @@ from dosplan.report.tables import table
 from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.scenes import LANE_WIDTH, steady_tracks, straight_scenario
 from dosplan.scoring import score
-from dosplan.simulation import run_episode
+from dosplan.simulation import observe, run_episode
 from dosplan.types import STEP_SECONDS, Arm, EpisodeEnd, FloatArray, Scenario
 from dosplan.vehicle import VehicleParameters
 
 PERCENTILES: Final = (50, 95, 99)
 ROAD_USERS: Final = (5, 20, 50, 200)
+PREDICTED: Final = (10, 30, 100)  # Road users of the scenes that the trained network predicts.
+PREDICTION_PARTS: Final = ("features", "network", "sets", "total")
+PREDICTIONS: Final = 60  # Of each of them.
 ROUNDS: Final = 2  # Drives for each number of road users.
 REPEATS: Final = 3  # Of everything else that has no cycles.
 VEHICLE: Final = VehicleParameters()
@@ -86,6 +97,7 @@ def main() -> None:
         "times_ms": {k: {part: spread(v[part]) for part in PARTS} for k, v in pooled.items()},
         "ratios": find_ratios(scenarios),
         "road_users": measure_growth(planner, predictor),
+        "engines": measure_engines(shipped_weights(), shipped_sets(DEFAULT_SETS)),
         "startup_ms": {**measure_startup(), "load_scenario": spread(loads)},
         "environment": describe_environment(),
     }
@@ -154,6 +166,41 @@ def measure_growth(planner: Planner, predictor: Predictor) -> dict[str, Figures]
     return {str(n): row | {"cycle_ratio": row["cycle"] / fewest} for n, row in found.items()}
 
 
+def measure_engines(network: Path, sets: Path) -> dict[str, dict[str, Figures]]:
+    """Medians of the parts of a prediction, and the ratio of onnxruntime to torch, on one thread.
+
+    ``network`` is what an encoding takes beyond the features, ``sets`` what a prediction takes
+    beyond the encoding. All are processor time, ms. Nothing without onnxruntime.
+    """
+    if find_spec("onnxruntime") is None:
+        return {}
+    with TemporaryDirectory() as scratch:
+        network, sets = Path(copy(network, scratch)), Path(copy(sets, scratch))
+        for model, weights in ((MAP, network), (SCENE, network), (SETS, sets)):
+            export(model, weights, Path(scratch))
+        engines = {e: DosPredictor(network=network, sets=sets, engine=e) for e in Engine}
+    found: dict[str, dict[str, Figures]] = {}
+    for n in PREDICTED:
+        scenario = steady_flow(n)
+        pieces = cut_map(scenario.road_map)
+        start, step = scenario.task.start[None], scenario.task.start_step
+        times: dict[Engine, list[tuple[float, ...]]] = {engine: [] for engine in Engine}
+        for _ in range(PREDICTIONS):
+            for engine, predictor in engines.items():
+                # An encoder remembers its last observation, hence one of its own for each.
+                seen = [observe(scenario, step, start, HISTORY) for _ in range(2)]
+                features = cpu_time(partial(describe, seen[0], pieces))
+                encoded = cpu_time(partial(predictor.encoder.encode, seen[0]))
+                total = cpu_time(partial(predictor.predict, seen[1]))
+                times[engine].append((features, encoded - features, total - encoded, total))
+        torch, onnx = (np.median(times[e], axis=0).tolist() for e in (Engine.TORCH, Engine.ONNX))
+        found[str(n)] = {
+            part: {"torch": a, "onnx": b, "ratio": b / a}
+            for part, a, b in zip(PREDICTION_PARTS, torch, onnx, strict=True)
+        }
+    return found
+
+
 def steady_flow(n: int) -> Scenario:
     """The ego amid the ``n`` nearest cars of thirteen lanes of traffic that flows at 7 to 10 m/s.
 
@@ -191,6 +238,13 @@ def elapsed(action: Callable[[], object]) -> float:
     return 1e3 * (time.perf_counter() - started)
 
 
+def cpu_time(action: Callable[[], object]) -> float:
+    """Processor time of an action, ms."""
+    started = time.process_time()
+    action()
+    return 1e3 * (time.process_time() - started)
+
+
 def pool(drives: Sequence[Times]) -> Times:
     """Puts the times of several drives together."""
     return {part: np.concatenate([times[part] for times in drives]) for part in PARTS}
@@ -214,6 +268,12 @@ def show(figures: dict[str, Any]) -> None:
     def rows(found: dict[str, Figures]) -> list[list[str]]:
         return [[name, *map(_number, row.values())] for name, row in found.items()]
 
+    engines = {f"{n} {k}": v for n, parts in figures["engines"].items() for k, v in parts.items()}
+    engine_table = (
+        table(["prediction\nroad users, part", "torch", "onnx", "ratio"], rows(engines))
+        if engines
+        else 'torch and onnxruntime are not compared: pip install "dosplan[onnx]"'
+    )
     under = " ".join(f"{p:>5}" for p in percentiles)
     times = [[part, *(triple(figures["times_ms"][d][part]) for d in drives)] for part in PARTS]
     for built in (
@@ -221,6 +281,7 @@ def show(figures: dict[str, Any]) -> None:
         table(["ms", *(f"{name}\n{under}" for name in drives)], times),
         table(["ratio within a scenario", "median", "lowest", "highest"], rows(figures["ratios"])),
         table(["road\nusers", *columns], rows(figures["road_users"])),
+        engine_table,
         table(["before the first cycle, ms", "n", *percentiles], rows(figures["startup_ms"])),
     ):
         Console().print(built, highlight=False, markup=False)

@@ -11,25 +11,26 @@ from rich.progress import TimeRemainingColumn as Remaining
 
 
 @contextmanager
-def show_progress(console: Console) -> Iterator[Callable[[int, int], None]]:
+def show_progress(console: Console, unit: str = "episodes") -> Iterator[Callable[[int, int], None]]:
     """Shows how far a run is while the block runs.
 
     Args:
         console: Where to.
+        unit: What is counted.
 
     Yields:
-        A function to be called with the number of finished episodes and of all.
+        A function to be called with the number of finished ones and of all.
     """
     if not console.is_terminal:
-        yield _lines(console)
+        yield _lines(console, unit)
         return
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Remaining())
-    with Progress("episodes", *columns, console=console, transient=True) as bar:
-        task = bar.add_task("episodes", total=None)
+    with Progress(unit, *columns, console=console, transient=True) as bar:
+        task = bar.add_task(unit, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def _lines(console: Console) -> Callable[[int, int], None]:
+def _lines(console: Console, unit: str) -> Callable[[int, int], None]:
     """Writes a line for each tenth of the run."""
     shown = -1
 
@@ -38,6 +39,6 @@ def _lines(console: Console) -> Callable[[int, int], None]:
         tenth = 10 * done // max(total, 1)
         if tenth > shown:
             shown = tenth
-            console.print(f"{done} of {total} episodes", highlight=False)
+            console.print(f"{done} of {total} {unit}", highlight=False)
 
     return update

@@ -6,13 +6,13 @@ import warnings
 from pathlib import Path
 
 from dosplan.scenario.catalogue import ScenarioRef, find_scenarios
-from dosplan.scenario.document import ScenarioError
+from dosplan.scenario.document import ScenarioError, read_file
 from dosplan.types import Scenario
 
 __all__ = ["ScenarioError", "ScenarioRef", "find_scenarios", "load_scenario"]
 
 
-def load_scenario(ref: ScenarioRef | str | Path) -> Scenario:
+def load_scenario(ref: ScenarioRef | str | Path, *, cached: bool = False) -> Scenario:
     """Reads one episode.
 
     Recordings with a step other than 0.1 s are resampled where that is exact: a step that is a
@@ -21,6 +21,8 @@ def load_scenario(ref: ScenarioRef | str | Path) -> Scenario:
 
     Args:
         ref: The episode, or a file that holds one planning problem.
+        cached: Whether to take it from the cache where it is there, and put it there where not
+            (``dosplan.scenario.cache``); the scenario is the same.
 
     Returns:
         The scenario.
@@ -28,10 +30,20 @@ def load_scenario(ref: ScenarioRef | str | Path) -> Scenario:
     Raises:
         ScenarioError: The file cannot be used; one line that says why.
     """
+    ref = ref if isinstance(ref, ScenarioRef) else ScenarioRef(Path(ref), "")
+    content = read_file(ref.path)
+    if not cached:
+        return _parse(ref, content)
+    from dosplan.scenario import cache
+
+    return cache.cached(ref, content, lambda: _parse(ref, content))
+
+
+def _parse(ref: ScenarioRef, content: bytes) -> Scenario:
     # commonroad-io, networkx and scipy take half a second to import, which listing does not need.
     # Importing it warns of the protobuf bindings it was generated with, which nobody can help.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from dosplan.scenario.reader import read_scenario
 
-    return read_scenario(ref if isinstance(ref, ScenarioRef) else ScenarioRef(Path(ref), ""))
+    return read_scenario(ref, content)

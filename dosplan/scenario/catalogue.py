@@ -6,7 +6,7 @@ import csv
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, cast
 
 from dosplan.scenario.document import SUFFIXES, ScenarioError, scan
 
@@ -18,7 +18,7 @@ class ScenarioRef:
     """One episode to be run.
 
     Attributes:
-        path: The scenario file.
+        path: The scenario file; for one behind a URL, what ``universal-pathlib`` makes of it.
         id: Benchmark id, with ``@<problem id>`` appended where the file holds several planning
             problems; the file's stem where it cannot be read, or the file's path in the source
             where that stem is taken.
@@ -37,8 +37,9 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
     Hidden files of a folder and XML files that are something else (solutions) are passed over.
 
     Args:
-        source: A ``.xml`` or ``.xml.gz`` file, a folder that is searched with its subfolders, or
-            ``"suite"`` for the embedded suite.
+        source: A ``.xml`` or ``.xml.gz`` file, a folder that is searched with its subfolders, the
+            URL of one (``s3://bucket/folder``, whatever fsspec reads), or ``"suite"`` for the
+            embedded suite.
 
     Returns:
         The episodes, ids unique.
@@ -49,7 +50,7 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
     if source == SUITE:
         refs = _suite()
     else:
-        path = Path(source)
+        path = _place(source)
         if path.is_dir():
             refs = _folder(path)
         elif path.is_file():
@@ -57,7 +58,7 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
         else:
             raise ScenarioError(path, 'does not exist; name a file, a folder or "suite"')
     if not refs:
-        raise ScenarioError(Path(source), f"holds no scenario ({' or '.join(SUFFIXES)})")
+        raise ScenarioError(_place(source), f"holds no scenario ({' or '.join(SUFFIXES)})")
     known: dict[str, Path] = {}
     for ref in refs:
         if known.get(ref.id) == ref.path:
@@ -70,6 +71,25 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
             )
         known[ref.id] = ref.path
     return refs
+
+
+def _place(source: str | Path) -> Path:
+    """The path of a source, or what behaves like one for a URL."""
+    if "://" not in str(source):
+        return Path(source)
+    try:
+        from upath import UPath  # Of an optional dependency.
+
+        place = UPath(source)
+        place.exists()  # Shows whether the URL's file system is installed and answers.
+    except Exception as error:  # Whatever a file system raises, from anywhere.
+        reason = f"{type(error).__name__}: {error}"
+        raise ScenarioError(
+            Path(source),
+            f"cannot be reached ({reason}); URLs need pip install 'dosplan[cluster]' "
+            "and fsspec's package for theirs",
+        ) from error
+    return cast(Path, place)
 
 
 def stem(path: Path) -> str:

@@ -8,6 +8,7 @@ right in the tree before it sees the file.
 from __future__ import annotations
 
 import gzip
+import io
 import re
 import zlib
 from collections import Counter
@@ -60,24 +61,56 @@ class _Builder(ElementTree.TreeBuilder):
         raise ValueError(_DOCTYPE)
 
 
-def read_bytes(path: Path) -> bytes:
-    """The XML of a ``.xml`` or ``.xml.gz`` file.
+def read_file(path: Path) -> bytes:
+    """Content of a scenario file as it lies there, compressed or not.
 
     Args:
         path: The file.
 
     Returns:
+        Its bytes.
+
+    Raises:
+        ScenarioError: It cannot be read or is larger than ``MAX_BYTES``.
+    """
+    try:
+        if path.exists() and not path.is_file():  # A pipe could keep us waiting for ever.
+            raise ScenarioError(path, "is not a regular file; remove it")
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise _unreadable(path, error) from None
+    return _within_limit(path, data)
+
+
+def unpacked(path: Path, data: bytes) -> bytes:
+    """The XML of a ``.xml`` or ``.xml.gz`` file.
+
+    Args:
+        path: The file.
+        data: Its content.
+
+    Returns:
         Its (decompressed) content.
 
     Raises:
-        ScenarioError: It cannot be read, decompressed, or is larger than ``MAX_BYTES``.
+        ScenarioError: It cannot be decompressed, or is larger than ``MAX_BYTES`` then.
     """
+    if path.suffix != ".gz":
+        return data
     try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
+        with gzip.open(io.BytesIO(data)) as stream:
+            return _within_limit(path, stream.read(MAX_BYTES + 1))
     except (OSError, EOFError, zlib.error) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ScenarioError(path, f"cannot be read ({reason}); fetch the file again") from None
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: Exception) -> ScenarioError:
+    reason = getattr(error, "strerror", None) or str(error)
+    return ScenarioError(path, f"cannot be read ({reason}); fetch the file again")
+
+
+def _within_limit(path: Path, data: bytes) -> bytes:
     if len(data) > MAX_BYTES:
         raise ScenarioError(path, f"holds more than {MAX_BYTES} bytes; split it")
     return data
@@ -90,7 +123,8 @@ def scan(path: Path) -> tuple[str, str, list[int]]:
         path: The file.
 
     Returns:
-        The three; the benchmark id is empty where the file names none.
+        The three; the benchmark id is empty where the file names none, and the list where it
+        holds no more than one planning problem.
 
     Raises:
         ScenarioError: The file cannot be read or is not XML.
@@ -101,21 +135,26 @@ def scan(path: Path) -> tuple[str, str, list[int]]:
     def start(tag: str, attributes: dict[str, str]) -> None:
         if not header:
             header.append((tag, attributes.get("benchmarkID", "")))
+            if single:  # A call for each element takes most of the time.
+                parser.StartElementHandler = None
         elif tag == "planningProblem":
             problems.append(int(attributes["id"]))
 
     def doctype(*_: object) -> NoReturn:
         raise ValueError(_DOCTYPE)
 
+    data = unpacked(path, read_file(path))
+    # In an encoding in which neither would be found, both are absent.
+    single = b"<commonRoad" in data and data.count(b"<planningProblem") < 2
     parser = expat.ParserCreate()
     parser.StartElementHandler = start
     parser.StartDoctypeDeclHandler = doctype
-    _parse(path, lambda: parser.Parse(read_bytes(path), True))
+    _parse(path, lambda: parser.Parse(data, True))
     return (*header[0], problems)
 
 
-def read_document(path: Path) -> Document:
-    """Reads, checks and completes a scenario file.
+def read_document(path: Path, content: bytes) -> Document:
+    """Checks and completes a scenario file.
 
     Completed, because commonroad-io reads it wrongly or not at all: exact values in goal states
     become intervals of no length; an initial state that leaves out a field gets a zero for it,
@@ -123,6 +162,7 @@ def read_document(path: Path) -> Document:
 
     Args:
         path: A ``.xml`` or ``.xml.gz`` file.
+        content: What it holds, as ``read_file`` gives it.
 
     Returns:
         The document.
@@ -130,7 +170,7 @@ def read_document(path: Path) -> Document:
     Raises:
         ScenarioError: The file is not a CommonRoad scenario that can be used.
     """
-    data = read_bytes(path)
+    data = unpacked(path, content)
     # Safe on foreign text: _Builder refuses the declarations that the known attacks need.
     parser = ElementTree.XMLParser(target=_Builder())  # noqa: S314
     root = _parse(path, lambda: ElementTree.fromstring(data, parser=parser))  # noqa: S314

@@ -41,11 +41,12 @@ _MIN_STEERING_SPEED: Final = 1.0
 _ALONG_ROUTE: Final = 0.87  # Cosine of the largest angle to the route at which it is followed.
 
 
-def read_scenario(ref: ScenarioRef) -> Scenario:
-    """Reads one episode.
+def read_scenario(ref: ScenarioRef, content: bytes) -> Scenario:
+    """Makes one episode of a file's content.
 
     Args:
         ref: The episode; an empty ``id`` stands for the one the file gives it.
+        content: What its file holds, compressed or not.
 
     Returns:
         The scenario.
@@ -53,7 +54,7 @@ def read_scenario(ref: ScenarioRef) -> Scenario:
     Raises:
         ScenarioError: The file cannot be used.
     """
-    document = read_document(ref.path)
+    document = read_document(ref.path, content)
     try:
         with _quiet():
             source, problems = CommonRoadFileReader(document.data, FileFormat.XML).open()

@@ -40,4 +40,9 @@ def test_writes_figures_that_fit_together(tmp_path: Path) -> None:
     assert list(growth) == ["5", "20", "50", "200"]
     assert growth["5"]["cycle_ratio"] == 1.0
     assert growth["200"]["predict"] > growth["5"]["predict"]  # Forty times the road users.
+    for parts in figures["engines"].values():  # There are none without onnxruntime.
+        for engine in ("torch", "onnx"):
+            assert parts["total"][engine] > parts["features"][engine] > 0.0
+        total = parts["total"]
+        assert total["ratio"] == pytest.approx(total["onnx"] / total["torch"])
     assert figures["startup_ms"]["dosplan_help"]["p50"] > figures["startup_ms"]["python"]["p50"]

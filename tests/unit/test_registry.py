@@ -126,6 +126,19 @@ def test_a_broken_file_is_explained_in_one_line(tmp_path: Path, source: str, mes
     assert "\n" not in str(caught.value)
 
 
+def test_option_names_are_checked_without_building() -> None:
+    assert find_planner(f"{FAULTY}:TunedPlanner", ["acceleration"]).name == "tuned-v1"
+    assert find_predictor(f"{FAULTY}:StillPredictor", ["horizon"]).name == "still-v1"
+    with pytest.raises(
+        RegistryError, match=r"no option 'accelerate'; did you mean 'acceleration'\?"
+    ):
+        find_planner(f"{FAULTY}:TunedPlanner", ["acceleration", "accelerate"])
+    with pytest.raises(RegistryError, match=r"no option 'gain' \(options: none\)"):
+        find_planner(f"{FAULTY}:UnbuildablePlanner", ["gain"])
+    with pytest.raises(RegistryError, match="no option 'seed'"):
+        find_predictor(f"{FAULTY}:StillPredictor", ["seed"])
+
+
 def test_a_constructor_that_raises_is_explained() -> None:
     with pytest.raises(RegistryError, match=r"cannot be built: OSError: the weights are missing"):
         create_planner(f"{FAULTY}:UnbuildablePlanner", seed=0)

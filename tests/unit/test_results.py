@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dosplan.files import FileError, atomic_file, read_json, write_json, write_text
+from dosplan.files import FileError, atomic_file, read_json, write_bytes, write_json, write_text
 from dosplan.provenance import git_revision
-from dosplan.recording import KEPT_EVERY, NEARBY_METRES, load_recording, save_recording
+from dosplan.recording import KEPT_EVERY, NEARBY_METRES, load_recording, pack_recording
 from dosplan.results import (
     RunFolder,
     append_row,
@@ -226,7 +226,7 @@ def test_cycle_times_are_pooled_over_cycles_not_over_episodes(tmp_path: Path) ->
     long, short = _episode(cycles=6), replace(_episode(cycles=2), scenario_id="short")
     for episode in (long, short):
         path = folder.recording(episode.scenario_id, episode.arm)
-        save_recording(path, episode, VEHICLE)
+        write_bytes(path, pack_recording(episode, VEHICLE))
     rows = [
         _row(Outcome.SUCCESS, scenario=long.scenario_id, cycle_ms_p50=1.0),
         _row(Outcome.SUCCESS, scenario="short", cycle_ms_p50=1.0),
@@ -243,7 +243,7 @@ def test_cycle_times_are_pooled_over_cycles_not_over_episodes(tmp_path: Path) ->
 def test_a_recording_gives_the_episode_back(tmp_path: Path) -> None:
     episode = _episode()
     path = RunFolder(tmp_path).recording(episode.scenario_id, episode.arm)
-    save_recording(path, episode, VEHICLE)
+    write_bytes(path, pack_recording(episode, VEHICLE))
     assert path.name == "ZAM_Test-1_1_T-1@7.with_dos.npz"
     back = load_recording(path)
 
@@ -278,7 +278,7 @@ def test_sets_far_from_the_ego_are_left_out(tmp_path: Path, distance: float, kep
     episode = _episode(cycles=1, users=1)
     away = np.array([[0.0, NEARBY_METRES + distance]])
     ahead = _sets(episode.states[0, :2] + away, 12)
-    save_recording(tmp_path / "e.npz", replace(episode, occupancies=(ahead,)), VEHICLE)
+    write_bytes(tmp_path / "e.npz", pack_recording(replace(episode, occupancies=(ahead,)), VEHICLE))
     assert (len(load_recording(tmp_path / "e.npz").set_ids) == 1) is kept
 
 
@@ -289,7 +289,9 @@ def test_sets_that_are_not_valid_come_back_as_nan(tmp_path: Path) -> None:
     valid[0, 7:] = False  # Seen at step 5, gone at step 10.
     valid[1] = False  # Never there: left out.
     hidden = replace(sets, valid=valid)
-    save_recording(tmp_path / "e.npz", replace(episode, occupancies=(hidden,)), VEHICLE)
+    write_bytes(
+        tmp_path / "e.npz", pack_recording(replace(episode, occupancies=(hidden,)), VEHICLE)
+    )
     back = load_recording(tmp_path / "e.npz")
     assert back.set_ids.tolist() == [10]
     assert np.isfinite(back.set_centres[0, 0]).all()
@@ -298,7 +300,7 @@ def test_sets_that_are_not_valid_come_back_as_nan(tmp_path: Path) -> None:
 
 
 def test_an_episode_without_a_cycle_is_kept(tmp_path: Path) -> None:
-    save_recording(tmp_path / "e.npz", _episode(cycles=0), VEHICLE)
+    write_bytes(tmp_path / "e.npz", pack_recording(_episode(cycles=0), VEHICLE))
     back = load_recording(tmp_path / "e.npz")
     assert (len(back.states), len(back.inputs), len(back.cycle_ms), back.status) == (1, 0, 0, ())
 
@@ -307,7 +309,7 @@ def test_a_recording_of_a_busy_scene_is_small(tmp_path: Path) -> None:
     # 10 s of planning at every step among 30 road users near by, all predicted anew each time.
     episode = _episode(cycles=100, users=30, horizon=120, every=1)
     path = tmp_path / "e.npz"
-    save_recording(path, episode, VEHICLE)
+    write_bytes(path, pack_recording(episode, VEHICLE))
     plain = sum(o.centre.nbytes + o.semi_axes.nbytes + o.angle.nbytes for o in episode.occupancies)
     assert path.stat().st_size < plain / 20
 
@@ -379,7 +381,7 @@ def test_a_long_id_has_a_file_of_its_own(tmp_path: Path) -> None:
     paths = [folder.recording(name, Arm.WITH_DOS) for name in (long, long + "x", "ä" * 33)]
     assert len(set(paths)) == 3
     for path in paths:
-        save_recording(path, _episode(cycles=1), VEHICLE)
+        write_bytes(path, pack_recording(_episode(cycles=1), VEHICLE))
     assert "-" not in paths[2].name  # 198 characters are short enough.
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import shutil
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,15 +17,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dosplan import runner
+from dosplan import episode, runner, workers
+from dosplan.episode import drive_episode
+from dosplan.executor import Results, Task
 from dosplan.files import FileError, read_json
-from dosplan.recording import load_recording
+from dosplan.recording import KEPT_EVERY, load_recording
 from dosplan.registry import RegistryError
 from dosplan.results import RunFolder, read_rows
-from dosplan.runner import RunConfig, RunError, drive_episode, run
-from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios
+from dosplan.runner import RunConfig, RunError, run
+from dosplan.scenario import ScenarioError, find_scenarios
 from dosplan.scoring import failed_score
-from dosplan.types import Arm, Outcome, Score
+from dosplan.types import Arm, Outcome
 from tests.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
 FAULTY = Path(__file__).with_name("faulty.py")
@@ -58,13 +60,15 @@ def finished(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> RunFolde
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drives episodes in the test's own process, which is quicker."""
 
-    def drive(
-        tasks: list[tuple[ScenarioRef, Arm]], config: RunConfig
-    ) -> Iterator[tuple[tuple[ScenarioRef, Arm], Score]]:
-        for ref, arm in tasks:
-            yield (ref, arm), drive_episode(ref, arm, config)
+    class InProcess:
+        def __init__(self, config: RunConfig) -> None:
+            self.config = config
 
-    monkeypatch.setattr(runner, "_drive_in_pool", drive)
+        def drive(self, tasks: Iterable[Task]) -> Results:
+            for ref, arm in tasks:
+                yield (ref, arm), drive_episode(ref, arm, self.config)
+
+    monkeypatch.setattr(runner, "LocalExecutor", InProcess)
 
 
 def _config(out: Path, scenes: Path, planner: str = "CoastPlanner", **changes: Any) -> RunConfig:
@@ -81,39 +85,6 @@ def _untimed_text(folder: RunFolder) -> str:
     """``scenarios.jsonl`` without the columns that hold clock times."""
     rows = [json.loads(line) for line in folder.rows.read_text().splitlines()]
     return json.dumps([{key: v for key, v in row.items() if "_ms_" not in key} for row in rows])
-
-
-def _untimed(rows: list[Score]) -> list[Score]:
-    return [replace(row, cycle_ms_p50=None, cycle_ms_p99=None) for row in rows]
-
-
-def test_every_fault_of_a_worker_becomes_a_row_and_the_rest_goes_on(
-    scenes: Path, tmp_path: Path
-) -> None:
-    config = _config(tmp_path / "run", scenes, "FaultyPlanner", workers=2, episode_timeout=12.0)
-    folder = run(config)
-    rows = read_rows(folder.rows)
-    assert [(row.scenario, row.arm) for row in rows] == [
-        (ref.id, arm) for ref in find_scenarios(scenes) for arm in Arm
-    ]
-    # The other arm of each scenario, which shares the workers, is untouched.
-    assert {row.outcome for row in rows if row.arm is Arm.WITHOUT_DOS} == {Outcome.SUCCESS}
-    errors = [row.error for row in rows if row.arm is Arm.WITH_DOS]
-    assert errors[0] is None
-    assert "ValueError: no way to go" in str(errors[1])
-    assert errors[2:] == [
-        "the worker process ended with exit code 3",
-        "the worker process was killed by SIGSEGV",
-        "timed out after 12 s",
-        errors[5],
-    ]
-    assert str(errors[5]).startswith("planner faulty-v1: SystemExit: enough (faulty.py:")
-    assert all(row.outcome is Outcome.PLANNER_FAILURE for row in rows if row.error is not None)
-    summary = read_json(folder.summary)
-    assert summary["with_dos"]["n"] == 6
-    assert summary["with_dos"]["planner_failure_rate"] == 5 / 6
-    assert summary["without_dos"]["success_rate"] == 1.0
-    assert summary["comparison"]["success"]["only_a"] == 5
 
 
 def test_rows_do_not_depend_on_the_number_of_workers(scenes: Path, tmp_path: Path) -> None:
@@ -165,13 +136,45 @@ def test_a_finished_run_that_was_moved_is_not_driven_again(
     scenes: Path, finished: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.copytree(finished.path, tmp_path / "moved")
-    monkeypatch.setattr(runner, "ProcessPool", None)  # Driving anything would raise.
+    monkeypatch.setattr(runner, "LocalExecutor", None)  # Driving anything would raise.
     calls: list[tuple[int, int]] = []
     config = _config(tmp_path / "moved", scenes, limit=2, workers=2)
     folder = run(config, lambda done, total: calls.append((done, total)))
     for name in ("scenarios.jsonl", "run.json", "summary.json", "summary.md"):
         assert (folder.path / name).read_bytes() == (finished.path / name).read_bytes()
     assert calls == [(4, 4)]
+
+
+def test_options_reach_the_plugins_and_run_json(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = _config(tmp_path / "run", scenes, "TunedPlanner", limit=1, arms=(Arm.WITH_DOS,))
+    options: dict[str, Any] = {
+        "planner_options": {"acceleration": 2.0},
+        "predictor_options": {"horizon": 20},
+    }
+    config = replace(config, **options)
+    folder = run(config)
+    (row,) = read_rows(folder.rows)
+    # From 10 m/s it goes on at 2 m/s^2 for less than a second: 10 to 12 m/s, 10 to 11 on average.
+    assert 10.1 < row.velocity < 11.0
+    recording = load_recording(folder.recording(row.scenario, row.arm))
+    assert recording.set_centres.shape[1] == 20 // KEPT_EVERY
+    manifest, summary = read_json(folder.manifest), read_json(folder.summary)
+    assert options.items() <= manifest["config"].items()
+    assert options.items() <= summary["run"].items()
+    monkeypatch.setattr(runner, "LocalExecutor", None)  # Driving anything would raise.
+    assert read_rows(run(config).rows) == [row]
+
+
+def test_options_are_copied_and_travel_with_the_configuration() -> None:
+    given = {"gain": [1, 2.5, None, {"kind": "a"}], "fast": True}
+    config = RunConfig(out=Path("run"), planner_options=given)
+    given["fast"] = False
+    assert config.planner_options["fast"] is True
+    assert pickle.loads(pickle.dumps(config)) == config
+    assert hash(config) == hash(replace(config))
+    assert config != replace(config, planner_options=given)
 
 
 @pytest.mark.usefixtures("in_process")
@@ -189,6 +192,7 @@ def test_one_arm_alone_has_no_comparison(scenes: Path, tmp_path: Path) -> None:
         ({"planner": f"{FAULTY}:SlowPlanner"}, "planner"),
         ({"arms": (Arm.WITH_DOS,)}, "arms"),
         ({"ranked": False}, "ranked"),
+        ({"predictor_options": {"horizon": 10}}, "predictor_options"),
     ],
 )
 def test_another_configuration_overwrites_nothing(
@@ -215,7 +219,7 @@ def test_other_content_of_the_same_files_is_another_run(
     runner._open_folder(RunFolder(config.out), runner._manifest(config, refs))
     with (tmp_path / changed).open("a") as file:
         file.write("\n")
-    with pytest.raises(RunError, match="another content of its planner, predictor or scenario"):
+    with pytest.raises(RunError, match="another content of its planner, predictor, weight or"):
         run(config)
 
 
@@ -269,6 +273,8 @@ def test_a_predictor_that_sees_the_future_is_refused_or_marked(
     [
         ({"planner": "no-such"}, RegistryError),
         ({"predictor": "no-such"}, RegistryError),
+        ({"planner_options": {"gain": 1.0}}, RegistryError),
+        ({"predictor_options": {"horzion": 10}}, RegistryError),
         ({"source": "no-such-folder"}, ScenarioError),
     ],
 )
@@ -293,6 +299,11 @@ def test_bad_input_is_refused_before_a_folder_is_made(
         {"seed": -1},
         {"arms": ()},
         {"arms": (Arm.WITH_DOS, Arm.WITH_DOS)},
+        {"planner_options": {"gain": float("nan")}},
+        {"planner_options": {"file": Path("weights")}},
+        # JSON would turn these into a list and a text, and the run could never be resumed.
+        {"predictor_options": {"range": (1, 2)}},
+        {"predictor_options": {"by_kind": {1: 2}}},
     ],
 )
 def test_a_config_without_sense_is_refused(change: dict[str, Any]) -> None:
@@ -302,11 +313,14 @@ def test_a_config_without_sense_is_refused(change: dict[str, Any]) -> None:
 
 def test_an_episode_is_driven_scored_and_recorded(scenes: Path, tmp_path: Path) -> None:
     ref = find_scenarios(scenes)[0]
-    row = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes))
+    result = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes))
+    row = result.row
     assert (row.outcome, row.scenario) == (Outcome.SUCCESS, ref.id)
     # The goal begins at x = 18 m, the ego's centre starts at 10 m with 10 m/s: 8 steps.
     assert row.steps == pytest.approx(8, abs=1)
-    recording = load_recording(RunFolder(tmp_path).recording(ref.id, Arm.WITH_DOS))
+    assert not any(tmp_path.iterdir())  # The runner alone writes.
+    (tmp_path / "episode.npz").write_bytes(result.recording or b"")
+    recording = load_recording(tmp_path / "episode.npz")
     assert len(recording.inputs) == row.steps
     assert recording.set_ids.tolist() == [7] * row.steps
 
@@ -314,7 +328,7 @@ def test_an_episode_is_driven_scored_and_recorded(scenes: Path, tmp_path: Path) 
 def test_a_failed_plugin_is_made_anew(scenes: Path, tmp_path: Path) -> None:
     config = _config(tmp_path, scenes, "LeakyPlanner")
     first, broken, last = (
-        drive_episode(ref, Arm.WITH_DOS, config) for ref in find_scenarios(scenes)[:3]
+        drive_episode(ref, Arm.WITH_DOS, config).row for ref in find_scenarios(scenes)[:3]
     )
     assert first.outcome is last.outcome is Outcome.SUCCESS
     assert "broken for good" in str(broken.error)
@@ -327,13 +341,16 @@ def test_a_failed_plugin_is_made_anew(scenes: Path, tmp_path: Path) -> None:
         ("FaultyPlanner", "SystemExit: enough"),
     ],
 )
+@pytest.mark.usefixtures("in_process")
 def test_what_a_plugin_raises_is_in_the_row_and_its_traceback_in_a_file(
     scenes: Path, tmp_path: Path, planner: str, message: str
 ) -> None:
-    row = drive_episode(find_scenarios(scenes)[5], Arm.WITH_DOS, _config(tmp_path, scenes, planner))
+    config = _config(tmp_path / "run", scenes, planner, arms=(Arm.WITH_DOS,))
+    folder = run(replace(config, source=str(scenes / "ZAM_Test-5_1_T-1.xml")))
+    (row,) = read_rows(folder.rows)
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert message in str(row.error)
-    trace = RunFolder(tmp_path).traceback(row.scenario, row.arm).read_text()
+    trace = folder.traceback(row.scenario, row.arm).read_text()
     assert trace.startswith("Traceback")
     assert message.split(": ")[-1] in trace
 
@@ -342,8 +359,8 @@ def test_a_row_that_cannot_be_written_becomes_one_that_can(
     scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bad = replace(failed_score("s", Arm.WITH_DOS, ""), velocity=float("nan"))
-    monkeypatch.setattr(runner, "score", lambda *_: bad)
-    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes))
+    monkeypatch.setattr(episode, "score", lambda *_: bad)
+    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes)).row
     assert "ValueError: Out of range float values" in str(row.error)
 
 
@@ -353,8 +370,8 @@ def test_an_episode_that_does_not_fit_its_file_is_a_row(
     def save(*_: object) -> None:
         raise TypeError("a report of words")
 
-    monkeypatch.setattr(runner, "save_recording", save)
-    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes))
+    monkeypatch.setattr(episode, "pack_recording", save)
+    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes)).row
     assert (row.outcome, row.error) == (
         Outcome.PLANNER_FAILURE,
         "TypeError: a report of words",
@@ -367,9 +384,9 @@ def test_rows_do_not_depend_on_what_was_drawn_before_a_plugin_was_made(
     ref, config = find_scenarios(scenes)[0], _config(tmp_path, scenes, "RandomlyMadePlanner")
     velocities = set()
     for draws in (0, 5):
-        runner._plugins.cache_clear()
+        episode._plugins.cache_clear()
         np.random.uniform(size=draws)  # noqa: NPY002
-        velocities.add(drive_episode(ref, Arm.WITH_DOS, config).velocity)
+        velocities.add(drive_episode(ref, Arm.WITH_DOS, config).row.velocity)
     assert len(velocities) == 1
 
 
@@ -377,7 +394,7 @@ def test_a_broken_scenario_file_is_a_row(scenes: Path, tmp_path: Path) -> None:
     file = tmp_path / "ZAM_Broken-1_1_T-1.xml"
     file.write_text("<commonRoad")
     (ref,) = find_scenarios(file)
-    row = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes))
+    row = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes)).row
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert "ScenarioError" in str(row.error)
 
@@ -392,64 +409,19 @@ def test_an_episode_that_cannot_be_saved_ends_the_run(scenes: Path, tmp_path: Pa
         run(config)
 
 
-def test_a_pool_that_gets_nothing_done_is_given_up(
-    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tasks = [(ref, Arm.WITH_DOS) for ref in find_scenarios(scenes)]
-    config = _config(tmp_path, scenes)
-    done = drive_episode(*tasks[0], config)
-    results = [
-        [(tasks[0], done)],
-        [],
-    ]  # The first pool breaks after one episode, the second at once.
-    monkeypatch.setattr(runner, "_drive_in_pool", lambda tasks, config: iter(results.pop(0)))
-    rows = runner._drive_all(tasks, config)
-    assert next(rows) is done
-    with pytest.raises(RunError, match="worker processes die"):
-        next(rows)
-
-
-def _start(
-    out: Path, scenes: Path, planner: str = "SlowPlanner", rows: int = 1
-) -> subprocess.Popen[str]:
-    arguments = ["run", str(scenes), "--planner", f"{FAULTY}:{planner}", "--workers", "1"]
-    arguments += ["--predictor", f"{FAULTY}:StillPredictor", "--limit", "3", "--out", str(out)]
-    command = [sys.executable, "-m", "dosplan", *arguments]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60.0
-    while len(read_rows(out / "scenarios.jsonl")) < rows:
-        assert process.poll() is None, process.stderr and process.stderr.read()
-        assert time.monotonic() < deadline, "no row appeared"
-        time.sleep(0.05)
-    return process
-
-
-@pytest.mark.usefixtures("in_process")
-def test_a_run_that_is_killed_resumes_and_loses_nothing(scenes: Path, tmp_path: Path) -> None:
-    out = tmp_path / "run"
-    process = _start(out, scenes)
-    process.kill()
-    process.communicate()
-    kept = read_rows(out / "scenarios.jsonl")
-    assert 1 <= len(kept) < 6
-    with (out / "scenarios.jsonl").open("a") as file:
-        file.write('{"scenario": "ZAM_Test-2_1_T-1", "arm": "with_d')  # Cut off by the kill.
-
-    folder = run(_config(out, scenes, "SlowPlanner", limit=3))
-    rows = read_rows(folder.rows)
-    assert [(row.scenario, row.arm) for row in rows] == [
-        (ref.id, arm) for ref in find_scenarios(scenes)[:3] for arm in Arm
-    ]
-    assert rows[: len(kept)] == kept  # Their timings too: they were not driven again.
-    whole = run(_config(tmp_path / "whole", scenes, "CoastPlanner", limit=3))
-    assert _untimed(rows) == _untimed(read_rows(whole.rows))
-    assert not list(out.rglob(".*"))  # No half-written file is left.
-
-
 def test_workers_end_with_a_runner_that_is_killed_and_print_to_stderr(
     scenes: Path, tmp_path: Path
 ) -> None:
-    process = _start(tmp_path / "run", scenes, "HangingPlanner", rows=2)
+    out = tmp_path / "run"
+    plugins = ["--planner", f"{FAULTY}:HangingPlanner", "--predictor", f"{FAULTY}:StillPredictor"]
+    command = [sys.executable, "-m", "dosplan", "run", str(scenes), *plugins, "--workers", "1"]
+    command += ["--limit", "2", "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while len(read_rows(out / "scenarios.jsonl")) < 2:
+        assert process.poll() is None, process.stderr and process.stderr.read()
+        assert time.monotonic() < deadline, "no row appeared"
+        time.sleep(0.05)
     time.sleep(0.5)  # The worker hangs in the third episode now.
     process.kill()
     # The pipes end when the last process that holds them does: an orphan would keep them open.
@@ -458,28 +430,12 @@ def test_workers_end_with_a_runner_that_is_killed_and_print_to_stderr(
     assert "hanging" in complaint
 
 
-@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_stops_quickly_and_says_how_to_go_on(
-    scenes: Path, tmp_path: Path, stop: signal.Signals
-) -> None:
-    out = tmp_path / "run"
-    process = _start(out, scenes)
-    process.send_signal(stop)
-    _, complaint = process.communicate(timeout=20)
-    assert process.returncode == 130
-    assert complaint.splitlines()[-1] == (
-        f"dosplan: interrupted; the same command with --out {out} resumes"
-    )
-    assert "Traceback" not in complaint
-    assert not (out / "summary.json").exists()
-
-
 def test_workers_get_one_thread_each_and_the_environment_is_put_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    with runner._environment({"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}):
+    with workers.environment({"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}):
         assert os.environ["OMP_NUM_THREADS"] == os.environ["MKL_NUM_THREADS"] == "1"
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "MKL_NUM_THREADS" not in os.environ

@@ -39,3 +39,24 @@ def test_a_planning_problem_that_is_named_twice_is_told(tmp_path: Path) -> None:
     )
     with pytest.raises(ScenarioError, match="names planning problem 100 twice; give one another"):
         find_scenarios(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_problems_are_counted_whatever_surrounds_them(tmp_path: Path, encoding: str) -> None:
+    """Files with one problem are listed by a shortcut, which must not be seen."""
+    one, two = tmp_path / "one.xml", tmp_path / "two.xml"
+    write_scenario_xml(one, benchmark_id="ZAM_A-1_1_T-1")
+    problems = [Problem(id=100), Problem(id=101)]
+    write_scenario_xml(two, problems=problems, benchmark_id="ZAM_B-1_1_T-1")
+    for path in (one, two):
+        text = path.read_text()
+        head = f'<?xml version="1.0" encoding="{encoding}"?>'
+        body = text.partition("?>")[2] if text.startswith("<?xml") else text
+        commented = "<!-- <planningProblem id='7'> --><planningProblem"
+        body = body.replace("<planningProblem", commented, 1)
+        path.write_text(head + body, encoding=encoding)
+    assert [ref.id for ref in find_scenarios(tmp_path)] == [
+        "ZAM_A-1_1_T-1",
+        "ZAM_B-1_1_T-1@100",
+        "ZAM_B-1_1_T-1@101",
+    ]

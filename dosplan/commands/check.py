@@ -1,0 +1,79 @@
+"""``dosplan check``: the conformance suite on a plug-in."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from dosplan.commands import FAILED, OK
+from dosplan.commands.common import PLUGIN_HELP, add_json, show
+
+if TYPE_CHECKING:
+    from dosplan.conformance import Report
+
+
+class CheckCommand:
+    """Checks that a plug-in keeps the contract."""
+
+    summary = "check that a planner or predictor keeps the contract"
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declares the arguments.
+
+        Args:
+            parser: The subcommand's parser.
+        """
+        add_json(parser)
+        parser.add_argument("name", metavar="NAME", help=PLUGIN_HELP)
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Checks, and shows every check.
+
+        Args:
+            options: The arguments.
+
+        Returns:
+            0; 1 where a check failed.
+
+        Raises:
+            RegistryError: There is no such plug-in.
+            FileError: A file cannot be written.
+        """
+        from dosplan.report.tables import table
+
+        report = _report(options.name)
+        rows = [
+            [check.name, "ok" if check.ok else "FAILED", check.message] for check in report.checks
+        ]
+        figures = {
+            "plugin": report.plugin,
+            "ok": report.ok,
+            "checks": [{"name": c.name, "ok": c.ok, "message": c.message} for c in report.checks],
+        }
+        verdict = "keeps the contract" if report.ok else "breaks the contract"
+        checks = table(["check", "result", ""], rows, numbers=False)
+        show([checks, f"{report.plugin} {verdict}"], figures, options.json)
+        return OK if report.ok else FAILED
+
+
+def _report(spec: str) -> Report:
+    """The checks of a planner or predictor, whichever has the name."""
+    from dosplan.conformance import check_planner, check_predictor
+    from dosplan.registry import (
+        PluginKind,
+        RegistryError,
+        find_planner,
+        find_predictor,
+        list_plugins,
+    )
+
+    named = [k for k in PluginKind if spec in {plugin.name for plugin in list_plugins(k)}]
+    complaints = []
+    for kind in named or PluginKind:
+        try:
+            if kind is PluginKind.PLANNER:
+                return check_planner(find_planner(spec))
+            return check_predictor(find_predictor(spec))
+        except RegistryError as error:
+            complaints.append(str(error))
+    raise RegistryError("; ".join(complaints))

@@ -1,0 +1,93 @@
+"""What several built-in subcommands share: arguments, and how figures are shown and written."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+PLUGIN_HELP: Final = "a name of `dosplan list`, module:Class or path/to/file.py:Class"
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Declares ``--json``.
+
+    Args:
+        parser: The subcommand's parser.
+    """
+    parser.add_argument("--json", type=Path, metavar="PATH", help="write the same figures there")
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Declares ``--workers``.
+
+    Args:
+        parser: The subcommand's parser.
+    """
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="worker processes (default: the number of CPUs, here %(default)s)",
+    )
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """Declares ``--seed``.
+
+    Args:
+        parser: The subcommand's parser.
+    """
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: %(default)s")
+
+
+def show(parts: Sequence[RenderableType], figures: Any, json_path: Path | None) -> None:
+    """Prints what a command found, and writes the same figures as JSON where asked to.
+
+    Args:
+        parts: Tables and lines for the terminal.
+        figures: What they show, as ``json`` can write it.
+        json_path: Where to write the figures, or None.
+
+    Raises:
+        FileError: Standard output or the file cannot be written.
+    """
+    out = console()
+    try:
+        for part in parts:
+            out.print(part, highlight=False, markup=False)
+        sys.stdout.flush()
+    except OSError as error:
+        from dosplan.files import FileError
+
+        # What could not be written is still buffered, and leaving would try to write it again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise FileError(f"cannot write to standard output: {error.strerror}") from error
+    if json_path is not None:
+        from dosplan.files import write_json
+
+        write_json(json_path, figures)
+
+
+def console(stderr: bool = False) -> Console:
+    """Opens the terminal, or what stands in its place.
+
+    Args:
+        stderr: Whether to write to standard error.
+
+    Returns:
+        The console.
+    """
+    from rich.console import Console
+
+    found = Console(stderr=stderr)
+    if not found.is_terminal:
+        found.width = 200  # A pipe has no width: do not fold what a program may read.
+    return found

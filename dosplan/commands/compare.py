@@ -1,0 +1,51 @@
+"""``dosplan compare``: two runs, scenario by scenario."""
+
+from __future__ import annotations
+
+import argparse
+
+from dosplan.commands import OK
+from dosplan.commands.common import add_json, show
+
+
+class CompareCommand:
+    """Compares two runs, or the arms of one."""
+
+    summary = "compare two runs, or the two arms of one, scenario by scenario"
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declares the arguments.
+
+        Args:
+            parser: The subcommand's parser.
+        """
+        add_json(parser)
+        run = "a run folder, or RUN:with_dos or RUN:without_dos for one arm of it"
+        parser.add_argument("run_a", metavar="RUN_A", help=run)
+        parser.add_argument(
+            "run_b", nargs="?", metavar="RUN_B", help="likewise (default: RUN_A's arms)"
+        )
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Compares.
+
+        Args:
+            options: The arguments.
+
+        Returns:
+            0.
+
+        Raises:
+            CompareError: The runs cannot be compared.
+            FileError: A run cannot be read, or a file cannot be written.
+        """
+        from dataclasses import asdict
+
+        from dosplan.compare import compare_runs
+        from dosplan.report.tables import comparison_tables
+
+        specs = [spec for spec in (options.run_a, options.run_b) if spec is not None]
+        comparisons = compare_runs(specs)
+        figures = {"comparisons": [asdict(comparison) for comparison in comparisons]}
+        show([comparison_tables(c) for c in comparisons], figures, options.json)
+        return OK

@@ -1,0 +1,119 @@
+"""Worker processes in which a result cannot depend on how many of them there are.
+
+Each is spawned, so that it inherits nothing by chance; numerical libraries get one thread, and the
+order of sets of strings is fixed. A worker ends with the process that started it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import random
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Thread
+from typing import Final
+
+import numpy as np
+from pebble import ProcessPool
+
+_PR_SET_PDEATHSIG: Final = 1
+# Read once, when a numerical library is loaded. The hash seed fixes the order of sets of strings.
+WORKER_ENVIRONMENT: Final = {
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "VECLIB_MAXIMUM_THREADS": "1",
+    "NUMEXPR_NUM_THREADS": "1",
+    "PYTHONHASHSEED": "0",
+}
+
+
+@contextmanager
+def worker_pool(workers: int) -> Iterator[ProcessPool]:
+    """Opens a pool, and ends its processes on leaving, whatever they are doing.
+
+    Args:
+        workers: Number of processes.
+
+    Yields:
+        The pool.
+    """
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPool(workers, initializer=prepare_worker, context=context)
+    with environment(WORKER_ENVIRONMENT):
+        try:
+            yield pool
+        finally:
+            pool.stop()  # type: ignore[no-untyped-call]
+            pool.join()
+
+
+def seed_globals(seed: int) -> None:
+    """Seeds the global random generators, which a plug-in may use.
+
+    Args:
+        seed: Seed of the run.
+    """
+    random.seed(seed)
+    np.random.seed(seed % 2**32)  # noqa: NPY002
+
+
+def cause_of_death(exit_code: int) -> str:
+    """Says how a worker ended that should not have.
+
+    Args:
+        exit_code: Its exit code; negative for a signal.
+
+    Returns:
+        One line.
+    """
+    if exit_code >= 0:
+        return f"the worker process ended with exit code {exit_code}"
+    return f"the worker process was killed by {signal.Signals(-exit_code).name}"
+
+
+@contextmanager
+def environment(variables: dict[str, str]) -> Iterator[None]:
+    """Sets environment variables, which child processes inherit, for the length of the block.
+
+    Args:
+        variables: Names and values; what they were before is put back.
+
+    Yields:
+        Nothing.
+    """
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def prepare_worker() -> None:
+    """Sets a worker apart; runs in it first.
+
+    Its prints are kept out of the figures on stdout. It leads a process group of its own, so that
+    what a plug-in starts can be ended with it, and it ends with the process that started it.
+    """
+    os.setpgrp()
+    os.dup2(2, 1)
+    Thread(target=_end_with_parent, daemon=True).start()
+    if sys.platform == "linux":
+        # The thread cannot run while a plug-in holds the interpreter's lock; the kernel can.
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()  # However it ends: killed, too, when it can no longer stop its workers.
+        os.killpg(0, signal.SIGKILL)

@@ -1,0 +1,222 @@
+"""A Dask cluster gives the rows of one machine, and survives what clusters go through."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("distributed", reason="Dask is an optional dependency")
+
+from dosplan import __version__, cluster
+from dosplan.cli import main
+from dosplan.runner import RunError, run
+from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
+from dosplan.types import Arm
+from tests.faults.common import command, configured, rows_in, start, until, untimed, write_scenes
+from tests.faults.planners import NAMES
+
+SCENARIOS = 8
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scenes(tmp_path_factory.mktemp("scenes"), SCENARIOS)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    return untimed(run(configured(tmp_path_factory.mktemp("undisturbed") / "run", scenes)))
+
+
+@dataclass
+class Cluster:
+    """A scheduler and its workers, each a process that can be killed."""
+
+    folder: Path
+    workers: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.file = self.folder / "scheduler.json"
+        options = ["--port", "0", "--scheduler-file", str(self.file)]
+        self.scheduler = self._start("dask_scheduler", *options)
+        until(self.file.exists, "the scheduler")
+        self.address = f"tcp://127.0.0.1:{self._port()}"
+
+    def _port(self) -> str:
+        def read() -> str:
+            try:
+                return str(json.loads(self.file.read_text())["address"])
+            except ValueError:  # Half written.
+                return ""
+
+        until(read, "the scheduler's address")
+        return read().rpartition(":")[2]
+
+    def grow(self, count: int) -> None:
+        options = ["--nthreads", "1", "--no-nanny"]
+        new = [self._start("dask_worker", self.address, *options) for _ in range(count)]
+        self.workers.extend(new)
+
+    def _start(self, program: str, *options: str) -> subprocess.Popen[bytes]:
+        common = ["--host", "127.0.0.1", "--no-dashboard"]
+        return subprocess.Popen(
+            [sys.executable, "-m", f"distributed.cli.{program}", *options, *common],
+            cwd=self.folder,  # Not the runner's: relative paths must not be taken for granted.
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def end(self) -> None:
+        for process in [*self.workers, self.scheduler]:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def machines(tmp_path: Path) -> Iterator[Cluster]:
+    folder = tmp_path / "machines"
+    folder.mkdir()
+    made = Cluster(folder)
+    yield made
+    made.end()
+
+
+@pytest.mark.slow
+def test_a_local_cluster_isolates_as_one_machine_does(tmp_path: Path) -> None:
+    scenes = write_scenes(tmp_path / "scenes", len(NAMES))
+    kept = ("fine", "raise", "exit-3", "segv", "eat")
+    for file in scenes.iterdir():
+        if NAMES[int(file.name[10:12])] not in kept:
+            file.unlink()
+    options: dict[str, Any] = {"memory_limit": 700, "arms": (Arm.WITH_DOS,)}
+    here = configured(tmp_path / "here", scenes, "FaultPlanner", workers=2, **options)
+    there = configured(tmp_path / "there", scenes, "FaultPlanner", cluster="local:2", **options)
+    rows = untimed(run(there))
+    assert rows == untimed(run(here))
+    assert [row["error"] is None for row in rows] == [name == "fine" for name in kept]
+
+
+@pytest.mark.slow
+def test_the_death_of_half_of_the_workers_loses_nothing(
+    machines: Cluster, scenes: Path, tmp_path: Path, undisturbed: list[dict[str, Any]]
+) -> None:
+    machines.grow(4)
+    out = tmp_path / "run"
+    process = start(command(out, scenes, "SlowPlanner", "--cluster", machines.address))
+    until(lambda: rows_in(out) >= 1, "a row")
+    machines.workers[0].kill()
+    until(lambda: rows_in(out) >= 4, "more rows")
+    machines.workers[1].kill()
+    _, complaint = process.communicate(timeout=90.0)
+    assert process.returncode == 0, complaint
+    assert untimed(out) == undisturbed
+    assert [line for line in complaint.splitlines() if "episodes" not in line] == []
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_goes_away_leaves_a_folder_that_resumes(
+    machines: Cluster, scenes: Path, tmp_path: Path, undisturbed: list[dict[str, Any]]
+) -> None:
+    machines.grow(2)
+    out = tmp_path / "run"
+    process = start(command(out, scenes, "SlowPlanner", "--cluster", machines.address))
+    until(lambda: rows_in(out) >= 2, "two rows")
+    machines.scheduler.kill()
+    _, complaint = process.communicate(timeout=60.0)
+    assert process.returncode == 2
+    assert complaint.splitlines()[-1] == (
+        f"dosplan: error: lost the Dask scheduler at {machines.address}; what was driven is kept, "
+        "and the same command resumes when a scheduler is there"
+    )
+    assert "Traceback" not in complaint
+    kept = rows_in(out)
+    assert 2 <= kept < len(undisturbed)
+    driven: list[int] = []
+    folder = run(configured(out, scenes, "SlowPlanner"), lambda done, total: driven.append(done))
+    assert driven[0] == kept
+    assert untimed(folder) == undisturbed
+
+
+def test_ctrl_c_stops_a_local_cluster(scenes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    arguments = command(out, scenes, "SlowPlanner", "--cluster", "local:2")
+    process = start(arguments, start_new_session=True)
+    until(lambda: rows_in(out) >= 1, "a row")
+    asked = time.monotonic()
+    os.killpg(process.pid, signal.SIGINT)
+    _, complaint = process.communicate(timeout=30.0)  # Until the last process has ended.
+    assert time.monotonic() - asked < 2.0
+    assert process.returncode == 130
+    assert complaint.splitlines()[-1].startswith("dosplan: interrupted; the same command with")
+    assert "Traceback" not in complaint
+
+
+def test_scenarios_behind_a_url_are_read_where_they_are_driven(
+    scenes: Path, tmp_path: Path, undisturbed: list[dict[str, Any]]
+) -> None:
+    source = f"file://{scenes}"
+    config = configured(tmp_path / "run", Path("unused"), cluster="local:1", limit=1)
+    assert untimed(run(replace(config, source=source))) == undisturbed[:2]
+
+
+def test_a_source_may_be_a_url(scenes: Path) -> None:
+    from upath import UPath
+
+    place = UPath("memory://recordings/deep")
+    place.mkdir(parents=True)
+    for file in sorted(scenes.iterdir())[:2]:
+        (place / file.name).write_bytes(file.read_bytes())
+    refs = find_scenarios("memory://recordings")
+    assert [ref.id for ref in refs] == [ref.id for ref in find_scenarios(scenes)[:2]]
+    assert load_scenario(refs[0]).id == refs[0].id
+    with pytest.raises(ScenarioError, match=r"memory://.*nowhere: does not exist"):
+        find_scenarios("memory://nowhere")
+    with pytest.raises(ScenarioError, match=r"cannot be reached .*dosplan\[cluster\]"):
+        find_scenarios("nosuch://place")
+
+
+@pytest.mark.parametrize(
+    ("address", "message"),
+    [
+        ("local:0", "local: takes a number of workers"),
+        ("local:many", "local: takes a number of workers"),
+        ("tcp://127.0.0.1:1", "no Dask scheduler answers at tcp://127.0.0.1:1"),
+        ("nonsense", "no Dask scheduler answers at nonsense"),
+    ],
+)
+def test_an_address_without_a_cluster_is_one_line(
+    scenes: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    address: str,
+    message: str,
+) -> None:
+    monkeypatch.setattr(cluster, "_CONNECT_SECONDS", 1.0)
+    arguments = command(tmp_path / "run", scenes, "CoastPlanner", "--cluster", address)
+    assert main(arguments[3:]) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line.startswith("dosplan: error: ")
+    assert message in line
+
+
+def test_a_worker_that_would_give_other_rows_or_cannot_isolate_is_refused(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ref, config = find_scenarios(scenes)[0], configured(tmp_path, scenes)
+    with pytest.raises(RunError, match=r"has dosplan .* and the runner 0\.0"):
+        cluster._drive(ref, Arm.WITH_DOS, config, "0.0")
+    monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
+    with pytest.raises(RunError, match=r"are daemons.*--no-nanny"):
+        cluster._drive(ref, Arm.WITH_DOS, config, __version__)

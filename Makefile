@@ -47,6 +47,6 @@ $(VENV)/.run: $(BIN)/python pyproject.toml constraints.txt
 # The drivability checker is an oracle of some tests only, and one of its dependencies comes as
 # source: where no compiler is at hand, those tests are skipped and say so.
 $(VENV)/.dev: $(VENV)/.run
-	$(PIP) --editable ".[dev,cluster]"
+	$(PIP) --editable ".[dev,cluster,onnx]"
 	$(PIP) --editable ".[oracle]" || echo "no drivability checker: its oracle tests are skipped"
 	touch $@

@@ -116,6 +116,8 @@ class DosPredictor(Predictor):
         if coverage is not None:
             mode = Mode.SIMULTANEOUS if simultaneous else Mode.PER_STEP
             self._calibration = shipped_calibration(sets, mode)
+            # A level that no scene can have is refused here, not in the first episode.
+            self._calibration.factors(coverage, np.zeros(0), [])
 
     @classmethod
     def weight_files(cls) -> tuple[Path, ...]:

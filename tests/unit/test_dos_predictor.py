@@ -136,3 +136,27 @@ def test_what_cannot_work_is_refused(files: dict[str, Path]) -> None:
         DosPredictor(coverage=0.9, **options)
     with pytest.raises(ValueError, match="there are no sets called 'absent'"):
         DosPredictor(network=files["network"], sets="absent")
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, 1.5, 0.999999])
+def test_a_coverage_that_cannot_be_had_is_refused_at_once(level: float) -> None:
+    with pytest.raises(ValueError, match="level"):
+        DosPredictor(coverage=level)
+
+
+def test_shipped_sets_grow_with_the_coverage() -> None:
+    observation = seen(busy_scenario())
+    areas = [
+        float(np.prod(DosPredictor(coverage=c).predict(observation).semi_axes[:3], axis=-1).mean())
+        for c in (0.5, 0.8, 0.95)
+    ]
+    assert areas == sorted(areas)
+    assert areas[0] < 0.5 * areas[2]
+
+
+def test_covering_the_whole_horizon_takes_more_than_covering_each_step() -> None:
+    observation = seen(busy_scenario())
+    each = DosPredictor(coverage=0.9).predict(observation)
+    whole = DosPredictor(coverage=0.9, simultaneous=True).predict(observation)
+    moving = each.semi_axes[..., 0] > 0
+    assert np.mean(whole.semi_axes[moving] >= each.semi_axes[moving]) > 0.9

@@ -92,7 +92,7 @@ def test_both_engines_predict_the_same_sets(ref: ScenarioRef, folder: Path) -> N
         expected = reference.predict(seen)
         assert_same(ours.predict(seen), expected)
         moved = max(moved, float(expected.semi_axes.max(initial=0.0)))
-    assert moved > 1.0  # There were sets to compare.
+    assert moved > 0.5  # There were sets to compare.
 
 
 @pytest.mark.parametrize("variant", list(Variant))

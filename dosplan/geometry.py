@@ -41,6 +41,21 @@ def to_world(points: FloatArray, poses: FloatArray) -> FloatArray:
     )
 
 
+def to_body(points: FloatArray, poses: FloatArray) -> FloatArray:
+    """Sees scenario-frame points from poses; the way back of ``to_world``.
+
+    Args:
+        points: (..., V, 2) points in the scenario frame, m.
+        poses: (..., 3) x, y, m, and heading, rad.
+
+    Returns:
+        (..., V, 2) points in the body frame, m.
+    """
+    cos, sin = np.cos(poses[..., None, 2]), np.sin(poses[..., None, 2])
+    x, y = points[..., 0] - poses[..., None, 0], points[..., 1] - poses[..., None, 1]
+    return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+
+
 def rectangle_corners(poses: FloatArray, size: npt.ArrayLike) -> FloatArray:
     """Corners of rectangles, counter-clockwise from the front left.
 

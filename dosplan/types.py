@@ -375,6 +375,11 @@ class Observation:
         if not np.all(self.valid[:, -1]):
             raise ShapeError("Observation.valid names a road user that is not on the scene now")
 
+    @property
+    def moves(self) -> BoolArray:
+        """(N,) whether each road user can move at all, see ``RoadUserKind.moves``."""
+        return np.array([kind.moves for kind in self.kinds], dtype=np.bool_)
+
 
 @dataclass(frozen=True)
 class Occupancy:

@@ -20,8 +20,8 @@ from dosplan.types import BoolArray, IntArray, RoadUserKind
 MOVING: Final = 0.3  # m/s; who is slower stands.
 SPEED_EDGES: Final = (0.0, MOVING, 4.0, 8.0, 16.0, np.inf)  # m/s
 SPEED_BINS: Final = ("<0.3 m/s", "0.3-4 m/s", "4-8 m/s", "8-16 m/s", ">=16 m/s")
-UNPREDICTED: Final = frozenset({RoadUserKind.PARKED, RoadUserKind.STATIC})
-KINDS: Final = tuple(kind for kind in RoadUserKind if kind not in UNPREDICTED)
+KINDS: Final = tuple(kind for kind in RoadUserKind if kind.moves)  # The others are not predicted.
+SIMULATED: Final = "simulated"  # The tag, and the family that it makes.
 CELL_WINDOWS: Final = 500  # Fewer windows than this make no cell of family and speed.
 
 _LOCATION: Final = re.compile(r"(?:C-)?([A-Z]{3}_[A-Za-z0-9]+)-")
@@ -37,8 +37,8 @@ def family_of(benchmark_id: str, tags: frozenset[str]) -> str:
     Returns:
         ``simulated``, a location or ``other``.
     """
-    if "simulated" in tags:
-        return "simulated"
+    if SIMULATED in tags:
+        return SIMULATED
     location = _LOCATION.match(benchmark_id)
     return location[1] if location else "other"
 

@@ -34,12 +34,13 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 
+from dosplan.evaluation.groups import SPEED_EDGES as BIN_EDGES
 from dosplan.registry import one_line
 from dosplan.types import FloatArray, IntArray, RoadUserKind, ShapeError
 
 Kinds = Sequence[RoadUserKind]
 
-SPEED_EDGES: Final = (0.3, 4.0, 8.0, 16.0)
+SPEED_EDGES: Final = BIN_EDGES[1:-1]
 """Bounds between the speed bins, m/s; a speed on a bound belongs to the faster bin."""
 
 VULNERABLE_KINDS: Final = frozenset({RoadUserKind.PEDESTRIAN, RoadUserKind.BICYCLE})

@@ -15,6 +15,7 @@ from dosplan_net.features import HORIZON, Float32Array
 from dosplan_net.predictor import NetPredictor, check_horizon
 
 from dosplan.api import Predictor
+from dosplan.geometry import to_body
 from dosplan.types import (
     USER_HEADING,
     USER_VELOCITY,
@@ -188,20 +189,11 @@ class DosPredictor(Predictor):
         centre = trajectory.centre[encoded.moving]
         valid = trajectory.valid[encoded.moving]
         known = np.maximum.accumulate(np.where(valid, np.arange(centre.shape[1]), -1), axis=1)
-        offset = np.take_along_axis(centre, np.maximum(known, 0)[..., None], axis=1)
-        offset = np.where(known[..., None] < 0, 0.0, offset - now[:, None, :2])
-        offset = np.concatenate(
-            (offset, np.repeat(offset[:, -1:], HORIZON - offset.shape[1], axis=1)), axis=1
-        )
-        cosine, sine = np.cos(now[:, USER_HEADING, None]), np.sin(now[:, USER_HEADING, None])
-        local = np.stack(
-            (
-                offset[..., 0] * cosine + offset[..., 1] * sine,
-                offset[..., 1] * cosine - offset[..., 0] * sine,
-            ),
-            axis=-1,
-        )
-        return np.asarray(local, dtype=np.float32)
+        last = np.take_along_axis(centre, np.maximum(known, 0)[..., None], axis=1)
+        last = np.where(known[..., None] < 0, now[:, None, :2], last)
+        beyond = np.repeat(last[:, -1:], HORIZON - last.shape[1], axis=1)
+        local = to_body(np.concatenate((last, beyond), axis=1), now[:, :3])
+        return local.astype(np.float32)
 
 
 def shipped_sets(name: str) -> Path:

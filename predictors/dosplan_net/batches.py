@@ -10,11 +10,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from dosplan.evaluation.groups import MOVING
 from dosplan_net.cache import WindowCache
 from dosplan_net.features import HISTORY
 from dosplan_net.network import MapEncoder, Scene
 
-MOVING = 0.3  # m/s; below, a road user stands.
 STARTING = 1.0  # m that one must move for a window of a standing road user to teach something.
 
 

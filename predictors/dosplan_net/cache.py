@@ -20,15 +20,15 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from dosplan.evaluation.groups import SIMULATED
 from dosplan.files import write_json
-from dosplan.geometry import wrap_angle
+from dosplan.geometry import to_body, wrap_angle
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
 from dosplan.simulation import observe
-from dosplan.types import USER_HEADING, Scenario
+from dosplan.types import Scenario
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 
 FORMAT: Final = 1
-SIMULATED_TAG: Final = "simulated"
 EMPTY: Final = ""  # What extraction answers where nobody's future is recorded.
 MIN_FUTURE: Final = 5  # Steps of recorded future without which a scene teaches nothing.
 
@@ -260,7 +260,7 @@ def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | No
             np.where(features.neighbours < 0, -1, features.neighbours + counts[-1])
         )
         parts["pieces"].append(features.pieces)
-        parts["moves"].append(np.array([kind.moves for kind in observation.kinds], dtype=np.bool_))
+        parts["moves"].append(observation.moves)
         parts["future"].append(future)
         parts["future_valid"].append(future_valid)
         counts.append(counts[-1] + len(rows))
@@ -271,7 +271,7 @@ def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | No
     arrays["piece_shape"] = pieces.shape
     arrays["piece_attributes"] = pieces.attributes
     arrays["piece_pose"] = pieces.pose - np.array([*origin, 0.0])
-    arrays["simulated"] = np.array(SIMULATED_TAG in scenario.tags)
+    arrays["simulated"] = np.array(SIMULATED in scenario.tags)
     return arrays
 
 
@@ -284,11 +284,9 @@ def _future(
     index = np.ix_(rows, np.minimum(columns, tracks.steps - 1))
     valid = tracks.valid[index] & (columns < tracks.steps)
     now = tracks.states[rows, step]
-    offset = np.where(valid[..., None], tracks.states[index][..., :3] - now[:, None, :3], 0.0)
-    cosine, sine = np.cos(now[:, USER_HEADING, None]), np.sin(now[:, USER_HEADING, None])
-    ahead = offset[..., 0] * cosine + offset[..., 1] * sine
-    aside = offset[..., 1] * cosine - offset[..., 0] * sine
-    return np.stack((ahead, aside, wrap_angle(offset[..., 2])), axis=-1), valid
+    states = np.where(valid[..., None], tracks.states[index][..., :3], now[:, None, :3])
+    turned = wrap_angle(states[..., 2] - now[:, None, 2])
+    return np.concatenate((to_body(states[..., :2], now[:, :3]), turned[..., None]), axis=-1), valid
 
 
 def _join(

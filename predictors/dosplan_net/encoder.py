@@ -111,7 +111,7 @@ class SceneEncoder:
         if self._last is not None and self._last[0] is observation:
             return self._last[1]
         seen = describe(observation, self.prepare(observation.road_map))
-        moving = np.flatnonzero([kind.moves for kind in observation.kinds])
+        moving = np.flatnonzero(observation.moves)
         pose = seen.pose.astype(np.float32)
         pose[:, :2] = seen.pose[:, :2] - self._origin[:2]
         features = np.zeros((0, 0), dtype=np.float32)

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from dosplan.geometry import to_body
 from dosplan.types import (
     USER_HEADING,
     USER_VELOCITY,
@@ -106,7 +107,7 @@ def cut_map(road_map: RoadMap) -> MapPieces:
             chord = piece[-1] - piece[0]
             heading = float(np.arctan2(chord[1], chord[0]))
             middle = piece[PIECE_POINTS // 2]
-            local = _rotated(piece - middle, -heading)
+            local = to_body(piece, np.array([*middle, heading]))
             shapes.append(np.column_stack((local, half)))
             poses.append((*middle, heading))
             attributes.append(
@@ -140,12 +141,10 @@ def describe(observation: Observation, pieces: MapPieces) -> SceneFeatures:
     pose = np.array(now)
     history = np.zeros((len(now), HISTORY, HISTORY_SIZE), dtype=np.float32)
     past = history[:, HISTORY - states.shape[1] :]
-    offset = states - now[:, None]
-    cosine, sine = np.cos(now[:, USER_HEADING]), np.sin(now[:, USER_HEADING])
-    past[..., 0] = offset[..., 0] * cosine[:, None] + offset[..., 1] * sine[:, None]
-    past[..., 1] = offset[..., 1] * cosine[:, None] - offset[..., 0] * sine[:, None]
-    past[..., 2] = np.cos(offset[..., USER_HEADING])
-    past[..., 3] = np.sin(offset[..., USER_HEADING])
+    turned = states[..., USER_HEADING] - now[:, None, USER_HEADING]
+    past[..., :2] = to_body(states[..., :2], now[:, :3])
+    past[..., 2] = np.cos(turned)
+    past[..., 3] = np.sin(turned)
     past[..., 4] = states[..., USER_VELOCITY]
     past[..., 5] = 1.0
     past[~valid] = 0.0
@@ -184,11 +183,6 @@ def _sampled(lanelet: Lanelet) -> tuple[FloatArray, FloatArray, float]:
     return points, np.interp(at, along, half_width), float(along[-1] / count)
 
 
-def _rotated(points: FloatArray, angle: float) -> FloatArray:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]), dtype=np.float64)
-
-
 def _static(kinds: Sequence[RoadUserKind], size: FloatArray, known: Float32Array) -> Float32Array:
     static = np.zeros((len(kinds), STATIC_SIZE), dtype=np.float32)
     for row, kind in enumerate(kinds):
@@ -209,10 +203,7 @@ def _nearest_others(pose: FloatArray) -> IntArray:
 
 def _pieces_ahead(pose: FloatArray, pieces: FloatArray) -> IntArray:
     """(N, PIECES) rows of the pieces nearest to the stretch ahead of each road user."""
-    offset = pieces[None, :, :2] - pose[:, None, :2]
-    cosine, sine = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
-    ahead = offset[..., 0] * cosine + offset[..., 1] * sine
-    aside = offset[..., 1] * cosine - offset[..., 0] * sine
+    ahead, aside = np.moveaxis(to_body(pieces[None, :, :2], pose[:, :3]), -1, 0)
     reach = np.maximum(pose[:, 3, None], 0.0) * LOOK_AHEAD
     return _smallest(np.hypot(ahead - np.clip(ahead, 0.0, reach), aside), PIECES, PIECE_RANGE)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dosplan.api import Predictor
+from dosplan.geometry import to_world
 from dosplan.types import (
     USER_HEADING,
     FloatArray,
@@ -118,9 +119,7 @@ def placed(observation: Observation, moving: IntArray, local: FloatArray) -> Occ
     count, steps = len(now), local.shape[1]
     centre = np.repeat(now[:, None, :2], steps, axis=1)
     heading = np.repeat(now[:, USER_HEADING, None], steps, axis=1)
-    cosine, sine = np.cos(now[moving, USER_HEADING, None]), np.sin(now[moving, USER_HEADING, None])
-    centre[moving, :, 0] += local[..., 0] * cosine - local[..., 1] * sine
-    centre[moving, :, 1] += local[..., 0] * sine + local[..., 1] * cosine
+    centre[moving] = to_world(local, now[moving, :3])
     heading[moving] += _turned(local)
     return Occupancy(
         ids=observation.ids,

@@ -19,9 +19,7 @@ from dosplan.registry import find_predictor
 from dosplan.simulation import observe
 from dosplan.types import Observation, Scenario
 from dosplan_simple.predictors import (
-    UNMOVED_KINDS,
     GroundTruthPredictor,
-    of_kind,
 )
 from dosplan_simple.sets import ErrorTable
 
@@ -75,7 +73,7 @@ def _errors(
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """(N, T) displacement errors, m; NaN where there is no truth or nobody that moves."""
     foreseen, happened = predictor.predict(observation), truth.predict(observation)
-    counted = happened.valid & foreseen.valid & ~of_kind(observation, UNMOVED_KINDS)[:, None]
+    counted = happened.valid & foreseen.valid & observation.moves[:, None]
     distance = np.linalg.norm(foreseen.centre - happened.centre, axis=-1)
     return np.where(counted, distance, np.nan)
 

@@ -22,7 +22,6 @@ from dosplan.types import (
     Tracks,
 )
 
-UNMOVED_KINDS = frozenset({RoadUserKind.PARKED, RoadUserKind.STATIC})
 WALKING_KINDS = frozenset({RoadUserKind.PEDESTRIAN})
 
 TURN_WINDOW = 6  # Steps whose headings give the turn rate: 0.5 s.
@@ -120,7 +119,7 @@ class KinematicPredictor(Predictor):
         """
         now = observation.states[:, -1]
         time = observation.dt * np.arange(1, self.horizon + 1)
-        moves = ~of_kind(observation, UNMOVED_KINDS)
+        moves = observation.moves
         velocity = np.where(moves, now[:, USER_VELOCITY], 0.0)
         turned = np.where(moves, self.turn_rate(observation), 0.0)[:, None] * time
         chord = velocity[:, None] * time * np.sinc(turned / (2.0 * np.pi))

@@ -23,7 +23,7 @@ import numpy as np
 
 from dosplan.api import Predictor
 from dosplan.types import FloatArray, Observation, Occupancy, PlanningTask, RoadMap
-from dosplan_simple.predictors import UNMOVED_KINDS, ConstantVelocityPredictor, of_kind
+from dosplan_simple.predictors import ConstantVelocityPredictor
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class CirclePredictor(Predictor):
             The base's centres with circles of the rule's radius.
         """
         trajectory = self.base.predict(observation)
-        moves = ~of_kind(observation, UNMOVED_KINDS)
+        moves = observation.moves
         radius = moves[:, None] * self.radius(observation.dt)
         return replace(
             trajectory,

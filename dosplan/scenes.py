@@ -75,6 +75,8 @@ def straight_route(length: float = 400.0) -> Route:
         curvature=zeros,
         left=zeros + 1.5 * LANE_WIDTH,
         right=zeros - 0.5 * LANE_WIDTH,
+        outer_left=zeros + 1.5 * LANE_WIDTH,
+        outer_right=zeros - 0.5 * LANE_WIDTH,
         speed_limit=np.full_like(x, np.inf),
     )
 

@@ -39,6 +39,8 @@ def arc_route(radius: float, length: float = 200.0, spacing: float = 0.5) -> Rou
         curvature=ones / radius,
         left=1.75 * ones,
         right=-1.75 * ones,
+        outer_left=1.75 * ones,
+        outer_right=-1.75 * ones,
         speed_limit=np.inf * ones,
     )
 

@@ -32,6 +32,7 @@ import shapely
 
 from dosplan.files import FileError, write_bytes
 from dosplan.scenario.catalogue import ScenarioRef
+from dosplan.scenario.folders import cache_folder
 from dosplan.types import (
     FloatArray,
     GoalState,
@@ -46,25 +47,16 @@ from dosplan.types import (
 
 MAX_BYTES: Final = 4 * 1024**3
 """Size that the whole cache keeps to, about."""
-_FORMAT: Final = 1
+_FORMAT: Final = 4
 _LIBRARIES: Final = ("commonroad-io", "networkx", "numpy", "scipy", "shapely")
-_ROUTE: Final = ("arclength", "path", "heading", "curvature", "left", "right", "speed_limit")
+_ROUTE: Final = (
+    "arclength", "path", "heading", "curvature", "left", "right", "outer_left", "outer_right",
+    "speed_limit",
+)  # fmt: skip
 _LANELET: Final = (
     "id", "successors", "predecessors", "left_neighbour", "right_neighbour", "speed_limit",
     "for_cars",
 )  # fmt: skip
-
-
-def cache_folder() -> Path:
-    """Where the cache is.
-
-    Returns:
-        ``$DOSPLAN_CACHE``, or else ``dosplan`` in ``$XDG_CACHE_HOME`` or ``~/.cache``.
-    """
-    if chosen := os.environ.get("DOSPLAN_CACHE"):
-        return Path(chosen)
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "dosplan"
 
 
 def cached(ref: ScenarioRef, content: bytes, make: Callable[[], Scenario]) -> Scenario:

@@ -1,4 +1,4 @@
-"""Finding scenarios: a file, a folder, or the suite that comes with the package."""
+"""Finding scenarios: from files of a source, or of the embedded suite, to episodes."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import csv
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, cast
+from typing import Final
 
 from dosplan.scenario.document import SUFFIXES, ScenarioError, scan
+from dosplan.scenario.sources import LIST, Candidate, candidates, listed_candidates, place
 
 SUITE: Final = "suite"
 
@@ -29,67 +30,58 @@ class ScenarioRef:
     id: str
     problem_id: int | None = None
 
+    @property
+    def scenario(self) -> str:
+        """The id without the planning problem; all episodes of a file have the same."""
+        if self.problem_id is None:
+            return self.id
+        return self.id.removesuffix(f"@{self.problem_id}")
+
 
 def find_scenarios(source: str | Path) -> list[ScenarioRef]:
-    """Lists the episodes of a source, in the order of their paths.
+    """Lists the episodes of a source, in the order of their paths, or of the list.
 
     A file that is broken is listed too, so that its failure becomes a result and is not lost.
     Hidden files of a folder and XML files that are something else (solutions) are passed over.
 
     Args:
-        source: A ``.xml`` or ``.xml.gz`` file, a folder that is searched with its subfolders, the
-            URL of one (``s3://bucket/folder``, whatever fsspec reads), or ``"suite"`` for the
-            embedded suite.
+        source: ``"suite"`` for the embedded suite, or one of these, by its path:
+
+            * a ``.xml`` or ``.xml.gz`` file;
+            * a folder, which is searched with its subfolders;
+            * a glob, such as ``"data/USA_*.xml"`` or ``"data/**/*-1_T-1.xml"``;
+            * a ``.zip``, ``.tar``, ``.tar.gz``, ``.tar.bz2`` or ``.tar.xz`` file, which is
+              unpacked into the cache (``dosplan.scenario.archives``);
+            * ``@LIST``, a text file that names a path or an id on each line
+              (``dosplan.scenario.sources``);
+            * the URL of a file, a folder or an archive (``s3://bucket/folder``, whatever fsspec
+              reads).
 
     Returns:
         The episodes, ids unique.
 
     Raises:
-        ScenarioError: Nothing is found, or two files have the same id.
+        ScenarioError: Nothing is found, two files have the same id, or an archive or a list
+            cannot be used.
     """
     if source == SUITE:
         refs = _suite()
+    elif str(source).startswith(LIST):
+        listing = Path(str(source).removeprefix(LIST))
+        suite = {ref.scenario: ref.path for ref in _suite()}
+        refs = _episodes(listed_candidates(listing, suite))
     else:
-        path = _place(source)
-        if path.is_dir():
-            refs = _folder(path)
-        elif path.is_file():
-            refs = _refs(path, others=True) or [ScenarioRef(path, stem(path))]
-        else:
-            raise ScenarioError(path, 'does not exist; name a file, a folder or "suite"')
+        refs = _episodes(candidates(source))
     if not refs:
-        raise ScenarioError(_place(source), f"holds no scenario ({' or '.join(SUFFIXES)})")
+        raise ScenarioError(place(source), f"holds no scenario ({' or '.join(SUFFIXES)})")
     known: dict[str, Path] = {}
     for ref in refs:
-        if known.get(ref.id) == ref.path:
+        other = known.setdefault(ref.scenario, ref.path)
+        if other != ref.path:
             raise ScenarioError(
-                ref.path, f"names planning problem {ref.problem_id} twice; give one another id"
+                ref.path, f"has the same id, {ref.scenario}, as {other}; remove one of them"
             )
-        if ref.id in known:
-            raise ScenarioError(
-                ref.path, f"has the same id, {ref.id}, as {known[ref.id]}; remove one of them"
-            )
-        known[ref.id] = ref.path
     return refs
-
-
-def _place(source: str | Path) -> Path:
-    """The path of a source, or what behaves like one for a URL."""
-    if "://" not in str(source):
-        return Path(source)
-    try:
-        from upath import UPath  # Of an optional dependency.
-
-        place = UPath(source)
-        place.exists()  # Shows whether the URL's file system is installed and answers.
-    except Exception as error:  # Whatever a file system raises, from anywhere.
-        reason = f"{type(error).__name__}: {error}"
-        raise ScenarioError(
-            Path(source),
-            f"cannot be reached ({reason}); URLs need pip install 'dosplan[cluster]' "
-            "and fsspec's package for theirs",
-        ) from error
-    return cast(Path, place)
 
 
 def stem(path: Path) -> str:
@@ -97,36 +89,39 @@ def stem(path: Path) -> str:
     return path.name.removesuffix(".gz").removesuffix(".xml")
 
 
-def _folder(folder: Path) -> list[ScenarioRef]:
-    files = sorted(
-        file
-        for file in folder.rglob("*.xml*")
-        if file.name.endswith(SUFFIXES) and not file.name.startswith(".")
-    )
-    found = {file: _refs(file, others=False) for file in files}
-    ids = Counter(ref.id for refs in found.values() if refs is not None for ref in refs)
-    ids.update(stem(file) for file, refs in found.items() if refs is None)
-    listed: list[ScenarioRef] = []
-    for file, refs in found.items():
+def _episodes(found: list[Candidate]) -> list[ScenarioRef]:
+    """The episodes of some files, each once; a broken file is one."""
+    each = [(candidate, _refs(candidate)) for candidate in found]
+    ids = Counter({ref.id for _, refs in each for ref in refs or ()})
+    ids.update({c.path: stem(c.path) for c, refs in each if refs is None}.values())
+    listed: dict[ScenarioRef, None] = {}
+    for candidate, refs in each:
         if refs is None:
-            name = stem(file) if ids[stem(file)] == 1 else file.relative_to(folder).as_posix()
-            refs = [ScenarioRef(file, name)]
-        listed.extend(refs)
-    return listed
+            name = stem(candidate.path)
+            refs = [ScenarioRef(candidate.path, name if ids[name] == 1 else candidate.name)]
+        listed.update(dict.fromkeys(refs))
+    return list(listed)
 
 
-def _refs(path: Path, others: bool) -> list[ScenarioRef] | None:
-    """The episodes of a file, or None where it cannot be read."""
+def _refs(candidate: Candidate) -> list[ScenarioRef] | None:
+    """The wanted episodes of a file, or None where it cannot be read."""
+    path, wanted = candidate.path, candidate.wanted
     try:
         tag, benchmark_id, problems = scan(path)
     except ScenarioError:
         return None
-    if tag != "commonRoad" and not others:
+    if tag != "commonRoad" and not candidate.chosen:
         return []
     name = benchmark_id or stem(path)
-    if len(problems) < 2:
-        return [ScenarioRef(path, name)]
-    return [ScenarioRef(path, f"{name}@{p}", p) for p in problems]
+    if twice := [problem for problem, times in Counter(problems).items() if times > 1]:
+        raise ScenarioError(path, f"names planning problem {twice[0]} twice; give one another id")
+    refs = [ScenarioRef(path, name)]
+    if len(problems) > 1:
+        refs = [ScenarioRef(path, f"{name}@{problem}", problem) for problem in problems]
+    chosen = [ref for ref in refs if wanted in (None, ref.id, ref.scenario)]
+    if not chosen:
+        raise ScenarioError(path, f"does not hold {wanted}, but {', '.join(r.id for r in refs)}")
+    return chosen
 
 
 def _suite() -> list[ScenarioRef]:

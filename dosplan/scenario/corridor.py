@@ -10,7 +10,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from dosplan.geometry import areas, lanelet_cells
-from dosplan.types import BoolArray, FloatArray, Lanelet, RoadMap
+from dosplan.types import BoolArray, FloatArray, IntArray, Lanelet, RoadMap
 
 AGAINST: Final = np.cos(np.deg2rad(100.0))
 """Cosine of the angle to the path from which on a lane runs against it."""
@@ -51,13 +51,30 @@ class Corridor:
         Returns:
             The corridor.
         """
-        low, high = path.min(axis=0) - 1.5 * cls.WIDTH, path.max(axis=0) + 1.5 * cls.WIDTH
-        free = areas(shapely.clip_by_rect(road_map.drivable, *low, *high))
+        free = cls.of_area(path, road_map).free
         with_path, against_path = _cells(road_map, path, near, always)
         if len(against_path):
             against = shapely.union_all(against_path)
             beside = with_path[shapely.intersects(with_path, against)]
             free = areas(free.difference(against.difference(shapely.union_all(beside))))
+        return cls._with_edges(free)
+
+    @classmethod
+    def of_area(cls, path: FloatArray, road_map: RoadMap) -> Self:
+        """All of the drivable area near a path, lanes against it included.
+
+        Args:
+            path: (P, 2) path, m.
+            road_map: The map.
+
+        Returns:
+            The area as a corridor.
+        """
+        low, high = path.min(axis=0) - 1.5 * cls.WIDTH, path.max(axis=0) + 1.5 * cls.WIDTH
+        return cls._with_edges(areas(shapely.clip_by_rect(road_map.drivable, *low, *high)))
+
+    @classmethod
+    def _with_edges(cls, free: shapely.Polygon | shapely.MultiPolygon) -> Self:
         rings = shapely.get_rings(shapely.get_parts(free))
         points, ring = shapely.get_coordinates(rings, return_index=True)
         same = ring[1:] == ring[:-1]
@@ -83,7 +100,8 @@ class Corridor:
     def bounds(self, path: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Lateral offsets at which a walk sideways from the path first leaves the corridor.
 
-        Exact: each normal is intersected with the segments of the corridor's boundary.
+        Each normal is intersected with the segments of the corridor's boundary; a corner of the
+        boundary that lies between two normals bounds the one it is nearest to.
 
         Args:
             path: (P, 2) m.
@@ -95,11 +113,25 @@ class Corridor:
         """
         normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
         inside = self._inside(path)
-        left, right = (
-            np.where(inside, self._first_hit(path, side * self.WIDTH * normal), OFF_ROAD)
-            for side in (1.0, -1.0)
-        )
-        return left, -right
+        point, across = self._corners(path, normal)
+        left, right = (self._first_hit(path, side * self.WIDTH * normal) for side in (1.0, -1.0))
+        for side, bound in ((1.0, left), (-1.0, right)):
+            there = side * across >= 0.0
+            np.minimum.at(bound, point[there], side * across[there])
+        return np.where(inside, left, OFF_ROAD), -np.where(inside, right, OFF_ROAD)
+
+    def _corners(self, path: FloatArray, normal: FloatArray) -> tuple[IntArray, FloatArray]:
+        """The boundary's corners beside the path: nearest point of it and offset there, m."""
+        corners = self.edges[:, 0]
+        distance, point = cKDTree(path).query(corners, distance_upper_bound=self.WIDTH)
+        near = np.isfinite(distance)
+        corners, point = corners[near], point[near]
+        away = corners - path[point]
+        across = np.sum(away * normal[point], axis=1)
+        # What is nearest to an end of the path may lie beyond it.
+        spacing = np.hypot(*np.diff(path, axis=0).T).max()
+        beside = np.abs(_cross(normal[point], away)) <= spacing
+        return point[beside], across[beside]
 
     def _inside(self, points: FloatArray) -> BoolArray:
         shapely.prepare(self.free)

@@ -174,6 +174,7 @@ def build_route(
     )
     path, path_heading, curvature = finished_path(raw, corridor.clearance(raw))
     left, right = corridor.bounds(path, path_heading)
+    outer_left, outer_right = Corridor.of_area(path, road_map).bounds(path, path_heading)
     return Route(
         lanelet_ids=tuple(ids),
         arclength=np.arange(len(path), dtype=np.float64) * SPACING,
@@ -182,6 +183,8 @@ def build_route(
         curvature=curvature,
         left=left,
         right=right,
+        outer_left=np.maximum(outer_left, left),
+        outer_right=np.minimum(outer_right, right),
         speed_limit=_speed_limits(lanes, ids, path),
     )
 

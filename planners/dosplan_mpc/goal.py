@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 
 from dosplan.geometry import wrap_angle
 from dosplan.types import FloatArray, GoalState, PlanningTask
+from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig, Style
 from dosplan_mpc.reference import CURVATURE, HEADING, ReferencePath, X, Y
+from dosplan_mpc.traffic import Traffic
 
 _SAMPLING = 0.25  # m along the path.
 _EDGE = 0.2  # m that are kept from the goal region's edge.
 _OFFSETS = np.arange(-12.0, 12.01, 0.1)  # Lateral offsets that are searched for the region, m.
 _SPEEDS = np.concatenate([np.linspace(0.05, 12.0, 80), np.linspace(12.25, 45.0, 132)])  # m/s
 _RUN_UP = 1.4  # The reference accelerates faster than it is reckoned with: the plan lags behind.
+_WINDING = 1.5  # m to both sides over which the change of steering is taken.
+_STEERING_SHARE = 1.0  # Share of the steering's rate that the reference speed asks for.
+_AIM = 0.03  # rad that are kept from the edge of a goal's heading window.
+_TURN = 0.3  # rad by which the path may miss that window; the ego turns towards it.
 _LATE = 0.3  # s of reserve before the deadline.
 
 
@@ -32,6 +38,7 @@ class GoalWindow:
         offset: Lateral offset to drive at there, m.
         right: Right edge of the region beside the path, m.
         left: Left edge, m.
+        heading: Heading window on the path's turn, rad, or None.
         velocity: Velocity window, m/s, or None.
     """
 
@@ -42,21 +49,29 @@ class GoalWindow:
     offset: float
     right: float
     left: float
+    heading: tuple[float, float] | None
     velocity: tuple[float, float] | None
 
 
-def locate_goals(task: PlanningTask, path: ReferencePath) -> tuple[GoalWindow, ...]:
+def locate_goals(
+    task: PlanningTask, path: ReferencePath, farthest: float = np.inf
+) -> tuple[GoalWindow, ...]:
     """Finds the goals that have a region along the path.
 
     Args:
         task: The planning task.
         path: Its reference path.
+        farthest: Arc length up to which the ego's centre may go, m.
 
     Returns:
         A window for each goal state with a region that lies beside the path.
     """
     windows = (_locate(goal, path) for goal in task.goals)
-    return tuple(window for window in windows if window is not None)
+    return tuple(
+        replace(window, end=max(min(window.end, farthest), window.begin))
+        for window in windows
+        if window is not None
+    )
 
 
 def _locate(goal: GoalState, path: ReferencePath) -> GoalWindow | None:
@@ -71,7 +86,7 @@ def _locate(goal: GoalState, path: ReferencePath) -> GoalWindow | None:
     if goal.heading is not None:
         middle = 0.5 * (goal.heading[0] + goal.heading[1])
         half = 0.5 * (goal.heading[1] - goal.heading[0])
-        near &= np.abs(wrap_angle(rows[:, HEADING] - middle)) <= half + 0.1
+        near &= np.abs(wrap_angle(rows[:, HEADING] - middle)) <= half + _TURN
     index = np.flatnonzero(near)
     if len(index) == 0:
         return None
@@ -103,31 +118,46 @@ def _locate(goal: GoalState, path: ReferencePath) -> GoalWindow | None:
     along = np.flatnonzero(
         inside[:, column] & (np.arange(len(index)) >= first) & (np.arange(len(index)) <= last)
     )
+    begin = index[along[0]]
+    heading = None
+    if goal.heading is not None:
+        path_heading = rows[begin, HEADING]
+        middle = path_heading - float(wrap_angle(path_heading - 0.5 * sum(goal.heading)))
+        half = 0.5 * (goal.heading[1] - goal.heading[0])
+        heading = (middle - half, middle + half)
     return GoalWindow(
         first_step=goal.first_step,
         last_step=goal.last_step,
-        begin=float(s[index[along[0]]]),
+        begin=float(s[begin]),
         end=float(s[index[along[-1]]]),
         offset=offset,
         right=right,
         left=left,
+        heading=heading,
         velocity=goal.velocity,
     )
 
 
-def curve_speed(path: ReferencePath, s: FloatArray, lateral_acceleration: float) -> FloatArray:
-    """Speed at which the path's curves are taken.
+def curve_speed(
+    path: ReferencePath, s: FloatArray, lateral_acceleration: float, vehicle: VehicleParameters
+) -> FloatArray:
+    """Speed at which the path's curves are taken: what tyres and the steering's rate allow.
 
     Args:
         path: Reference path.
         s: (S,) arc lengths, m.
         lateral_acceleration: m/s2.
+        vehicle: The ego.
 
     Returns:
         (S,) m/s.
     """
     curvature = np.maximum(np.abs(path.at(s)[:, CURVATURE]), 1e-3)
-    return np.asarray(np.sqrt(lateral_acceleration / curvature))
+    before, after = path.at(s - _WINDING), path.at(s + _WINDING)
+    steering = np.arctan(vehicle.wheelbase * np.stack([before, after])[..., CURVATURE])
+    turn = np.abs(steering[1] - steering[0]) / (2.0 * _WINDING)
+    rate = _STEERING_SHARE * vehicle.max_steering_rate / np.maximum(turn, 1e-3)
+    return np.asarray(np.minimum(np.sqrt(lateral_acceleration / curvature), rate))
 
 
 def braking_envelope(limit: FloatArray, s: FloatArray, deceleration: float) -> FloatArray:
@@ -182,8 +212,10 @@ def cruise_for_goal(
     depth = window.end - window.begin
     enter = window.begin + min(1.0, 0.3 * depth) - position
     leave = window.end - min(1.0, 0.3 * depth) - position
-    if leave <= 0.0 or deadline < 0.0:
+    if deadline < 0.0:
         return True, cruise
+    if leave <= 0.0:
+        return True, 0.0 if opening > 0.0 else cruise
     # Speed over distance while going from v to c at a constant rate: v^2 +- 2 a s, up to c.
     middle = np.maximum(grid - grid[0] - 0.5 * (grid[1] - grid[0]), 0.0)
     energy = 2.0 * acceleration * middle
@@ -215,6 +247,9 @@ class SpeedProfile:
         right: (N + 1,) right edge that a goal asks the ego's centre to keep, m; -inf without one.
         left: (N + 1,) left edge, m; inf without one.
         arclength: (N + 1,) where the ego's centre is at that speed, m.
+        station_weight: (N + 1,) what being elsewhere costs, 1/m2.
+        heading: (N + 1,) heading that a goal asks for, rad.
+        heading_weight: (N + 1,) what another heading costs, 1/rad2.
     """
 
     velocity: FloatArray
@@ -222,13 +257,20 @@ class SpeedProfile:
     right: FloatArray
     left: FloatArray
     arclength: FloatArray
+    station_weight: FloatArray
+    heading: FloatArray
+    heading_weight: FloatArray
 
 
 def _speed_limit(
-    path: ReferencePath, window: GoalWindow | None, grid: FloatArray, style: Style
+    path: ReferencePath,
+    window: GoalWindow | None,
+    grid: FloatArray,
+    style: Style,
+    vehicle: VehicleParameters,
 ) -> FloatArray:
     """Speed that curves and a goal's velocity window allow, with the braking before them."""
-    limit = curve_speed(path, grid, style.lateral)
+    limit = curve_speed(path, grid, style.lateral, vehicle)
     if window is not None and window.velocity is not None:
         low, high = window.velocity
         cap = high - 0.15 * (high - low)
@@ -243,8 +285,9 @@ def plan_speed(
     dt: float,
     position: float,
     velocity: float,
-    cruise: float,
+    traffic: Traffic,
     config: MpcConfig,
+    vehicle: VehicleParameters,
 ) -> SpeedProfile:
     """Reference speed and offset: for the goal where there is one, with the traffic otherwise.
 
@@ -255,8 +298,9 @@ def plan_speed(
         dt: Step, s.
         position: Arc length of the ego's centre, m.
         velocity: Its velocity, m/s.
-        cruise: Speed that is wanted but for the goal, m/s.
-        config: Settings: horizon, and the lateral accelerations at which curves are taken.
+        traffic: Speed that is wanted but for the goal, and whether a follower presses.
+        config: Settings: horizon, styles of driving and the weights of a goal.
+        vehicle: The ego.
 
     Returns:
         The profile.
@@ -265,19 +309,20 @@ def plan_speed(
     reach = max(60.0, 45.0 * config.horizon * dt, (window.end - position + 5.0) if window else 0.0)
     grid = position + np.arange(0.0, reach, 1.0)
     horizon = config.horizon
-    for style in (config.calm, config.hurried):
-        limit, target = _speed_limit(path, window, grid, style), cruise
+    # Whoever is followed closely does not dawdle in bends either.
+    for style in (config.calm, config.hurried, config.utmost)[int(traffic.pressed) :]:
+        limit, target = _speed_limit(path, window, grid, style, vehicle), traffic.cruise
         if window is None:
             break
         met, target = cruise_for_goal(
-            window, step, dt, position, velocity, cruise, grid, limit, style.longitudinal
+            window, step, dt, position, velocity, traffic.cruise, grid, limit, style.longitudinal
         )
         if met:
             break
     time = dt * np.arange(horizon + 1)
-    rate = style.longitudinal * (_RUN_UP if target > velocity else 1.0)
+    rate = _RUN_UP * style.longitudinal
     ramp = velocity + np.clip(target - velocity, -rate * time, rate * time)
-    s = position + np.concatenate([[0.0], np.cumsum(0.5 * (ramp[1:] + ramp[:-1]) * dt)])
+    s = _stations(position, ramp, dt)
     reference = np.minimum(ramp, np.interp(s, grid, limit))
     if window is not None and window.velocity is not None:
         low = window.velocity[0] + 0.15 * (window.velocity[1] - window.velocity[0])
@@ -285,19 +330,34 @@ def plan_speed(
         reference = np.maximum(
             reference, np.sqrt(np.maximum(low**2 - 2.0 * style.longitudinal * run_up, 0.0))
         )
-    shape = np.ones(horizon + 1)
+    s = _stations(position, reference, dt)
+    zero = np.zeros(horizon + 1)
     if window is None:
-        return SpeedProfile(reference, 0.0 * shape, -np.inf * shape, np.inf * shape, s)
+        return SpeedProfile(reference, zero, zero - np.inf, zero + np.inf, s, zero, zero, zero)
     # The offset is taken up on the way in, over about three seconds of driving.
     way = max(10.0, 3.0 * max(velocity, target))
     part = np.clip((s - (window.begin - way)) / (0.8 * way), 0.0, 1.0)
     offset = window.offset * part**2 * (3.0 - 2.0 * part)
     inside = (s >= window.begin - 2.0) & (s <= window.end + 1.0)
     inside &= step + np.arange(horizon + 1) >= window.first_step - 5
+    heading, asked = path.at(s)[:, HEADING], inside & (window.heading is not None)
+    if window.heading is not None:
+        low, high = window.heading
+        aim = min(_AIM, 0.25 * (high - low))
+        heading = np.clip(heading, low + aim, high - aim)
     return SpeedProfile(
         reference,
         offset,
         np.where(inside, window.right, -np.inf),
         np.where(inside, window.left, np.inf),
         s,
+        np.full(horizon + 1, config.station_weight),
+        heading,
+        np.where(asked, config.goal_heading_weight, 0.0),
     )
+
+
+def _stations(position: float, velocity: FloatArray, dt: float) -> FloatArray:
+    """Arc lengths, m, that are reached at a velocity over time: trapezoids."""
+    way = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * dt)
+    return np.asarray(position + np.concatenate([[0.0], way]))

@@ -5,7 +5,8 @@ acceleration as a sixth state ``x = (x, y, delta, v, psi, a_prev)``, inputs ``(d
 Runge-Kutta 4 over a step with the inputs held.
 
 Cost at stages 1 .. N (weights of ``MpcConfig``; the last stage counts double): offset from the
-reference path, heading error, velocity error, steering other than the path's curvature asks for;
+reference path, heading error, velocity error, steering other than the path's curvature asks for,
+and on the way to a goal the error of the station and of the goal's heading;
 at stages 0 .. N-1: steering rate, acceleration, jerk. The reference of a stage is a frozen
 parabola ``(x, y, psi, kappa)`` of the path at the warm start's arc length: cheaper than a
 curvilinear model and it distorts no set.
@@ -15,7 +16,7 @@ Constraints at stages 1 .. N, with slacks that are inputs of the stage:
 * Sets: for slot j and covering disc i, ``(z1^4 + z2^4 + eps)^(1/4) >= 1 - s_j`` with
   ``z = M_j (p_i - c_j)``: the disc's centre stays out of a superellipse (see ``obstacles``).
   Every slot has a slack of its own: with one slack for all, a set that cannot be left would
-  loosen the others. Penalty: ``set_penalty * s_j`` (exact) plus a small square.
+  loosen the others. Penalty: that of the set times ``s_j`` (exact) plus a small square.
 * Road: at five stations from the rear to the front bumper, both sides of the ego stay between the
   corridor's edges: ``left - (e + w) >= -r`` and ``(e - w) - right >= -r``, slack r.
 * Friction circle ``a^2 + (v psi')^2 <= (grip a_max)^2`` and engine power ``a v <= a_max v_s`` are
@@ -45,10 +46,12 @@ from dosplan_mpc.config import MpcConfig
 STATE_SIZE = 6
 STATIONS = 5  # Evenly from the rear to the front bumper; in a bend the sides bulge between.
 STATION_SIZE = 6  # x, y, psi, kappa of the path beside the station; right and left edge.
-SLOT_SIZE = 6  # Centre x, y and the rows of M of a forbidden set.
-REFERENCE_SIZE = 6  # x, y, psi, kappa of the path; reference velocity and offset.
+SLOT_SIZE = 7  # Centre x, y, the rows of M and the penalty of a forbidden set.
+# x, y, psi, kappa of the path; reference velocity and offset; way from the path's point to the
+# reference station, m, and its weight; heading to be had at the goal, rad, and its weight.
+REFERENCE_SIZE = 10
 STAGE_HEAD = REFERENCE_SIZE + STATIONS * STATION_SIZE
-EMPTY_SLOT = (1e4, 1e4, 0.1, 0.0, 0.0, 0.1)  # A set no plan can reach.
+EMPTY_SLOT = (1e4, 1e4, 0.1, 0.0, 0.0, 0.1, 1.0)  # A set no plan can reach.
 
 _NORM_EPS = 1e-4  # Rounds the norm's tip, where it has no derivative.
 _SLACK_CURVATURE = 1e-2  # Keeps the problem strictly convex in the slacks.
@@ -61,14 +64,12 @@ class Guess:
     Attributes:
         states: (N + 1, 6).
         inputs: (N, 2).
-        set_slack: (N, M) slacks of stages 1 .. N.
         road_slack: (N,).
         arclength: (N + 1,) where the rear axle is along the reference path, m.
     """
 
     states: FloatArray
     inputs: FloatArray
-    set_slack: FloatArray
     road_slack: FloatArray
     arclength: FloatArray
 
@@ -199,7 +200,8 @@ class MpcProblem:
                 h += _path_constraints(config, vehicle, states[k], slacks[k], parameters[:, k])
                 weight = 2.0 if k == n else 1.0
                 cost += weight * _state_cost(config, vehicle, states[k], parameters[:, k])
-                cost += config.set_penalty * ca.sum1(slacks[k][:m])
+                penalties = parameters[STAGE_HEAD + SLOT_SIZE - 1 :: SLOT_SIZE, k]
+                cost += ca.dot(penalties, slacks[k][:m])
                 cost += config.road_penalty * slacks[k][m]
                 cost += 0.5 * _SLACK_CURVATURE * ca.sumsqr(slacks[k])
             if k < n:
@@ -230,13 +232,16 @@ class MpcProblem:
         }
         self._solver = ca.nlpsol("mpc", "fatrop", nlp, options)
 
-    def solve(self, start: FloatArray, stages: FloatArray, guess: Guess) -> Solution:
+    def solve(
+        self, start: FloatArray, stages: FloatArray, guess: Guess, set_slack: FloatArray
+    ) -> Solution:
         """Solves the problem from a guess.
 
         Args:
             start: (6,) present state and previous acceleration.
             stages: (N + 1, stage_size) parameters of the stages.
             guess: Where to begin.
+            set_slack: (N, M) slacks of the sets to begin with.
 
         Returns:
             The solution; failure is a status, not an exception.
@@ -244,11 +249,11 @@ class MpcProblem:
         point = np.zeros(self.variables)
         point[self._x] = guess.states
         point[self._u] = guess.inputs
-        point[self._s[:, :-1]] = guess.set_slack
+        point[self._s[:, :-1]] = set_slack
         point[self._s[:, -1]] = guess.road_slack
         parameter = np.concatenate([start, stages.ravel()])
         if not (np.all(np.isfinite(parameter)) and np.all(np.isfinite(point))):
-            return self._failed(guess, 0.0)  # fatrop would search for a step for ever.
+            return self._failed(guess, set_slack, 0.0)  # fatrop would search for a step for ever.
         began = time.perf_counter()
         try:
             result = self._solver(
@@ -260,12 +265,12 @@ class MpcProblem:
                 ubg=self._g_upper,
             )
         except RuntimeError:  # CasADi's way of saying that an evaluation failed.
-            return self._failed(guess, time.perf_counter() - began)
+            return self._failed(guess, set_slack, time.perf_counter() - began)
         seconds = time.perf_counter() - began
         stats = self._solver.stats()
         values = np.asarray(result["x"]).ravel()
         if not np.all(np.isfinite(values)):
-            return self._failed(guess, seconds)
+            return self._failed(guess, set_slack, seconds)
         g = np.asarray(result["g"]).ravel()
         residual = float(
             max(
@@ -292,11 +297,11 @@ class MpcProblem:
         )
 
     @staticmethod
-    def _failed(guess: Guess, seconds: float) -> Solution:
+    def _failed(guess: Guess, set_slack: FloatArray, seconds: float) -> Solution:
         return Solution(
             states=guess.states,
             inputs=guess.inputs,
-            set_slack=guess.set_slack,
+            set_slack=set_slack,
             road_slack=guess.road_slack,
             cost=np.inf,
             residual=np.inf,
@@ -306,7 +311,7 @@ class MpcProblem:
         )
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=8)
 def problem(config: MpcConfig, vehicle: VehicleParameters, dt: float) -> MpcProblem:
     """The problem for these settings, built at the first call in a process.
 
@@ -341,21 +346,24 @@ def _transition(vehicle: VehicleParameters, dt: float) -> Any:
 
 
 def _local(x: Any, y: Any, frame: Any) -> tuple[Any, Any]:
-    """Offset from a frozen parabola and heading of the parabola beside the point."""
+    """Way along a frozen parabola's tangent, and offset from the parabola."""
     dx, dy = x - frame[0], y - frame[1]
     cos, sin = ca.cos(frame[2]), ca.sin(frame[2])
     along = cos * dx + sin * dy
-    return -sin * dx + cos * dy - 0.5 * frame[3] * along**2, frame[2] + frame[3] * along
+    return along, -sin * dx + cos * dy - 0.5 * frame[3] * along**2
 
 
 def _state_cost(config: MpcConfig, vehicle: VehicleParameters, x: Any, p: Any) -> Any:
-    offset, heading = _local(x[0], x[1], p[:4])
+    along, offset = _local(x[0], x[1], p[:4])
+    heading = p[2] + p[3] * along
     path_steering = ca.atan(vehicle.wheelbase * p[3])
     return 0.5 * (
         config.lateral_weight * (offset - p[5]) ** 2
         + config.heading_weight * (x[4] - heading) ** 2
         + config.velocity_weight * (x[3] - p[4]) ** 2
         + config.steering_weight * (x[2] - path_steering) ** 2
+        + p[7] * (along - p[6]) ** 2
+        + p[9] * (x[4] - p[8]) ** 2
     )
 
 
@@ -393,7 +401,7 @@ def _path_constraints(
     for i, ahead in enumerate(station_offsets(vehicle)):
         begin = REFERENCE_SIZE + STATION_SIZE * i
         frame = p[begin : begin + STATION_SIZE]
-        offset, _ = _local(x[0] + ahead * cos, x[1] + ahead * sin, frame)
+        _, offset = _local(x[0] + ahead * cos, x[1] + ahead * sin, frame)
         h.append(frame[5] - offset - half + slack[config.slots])
         h.append(offset - half - frame[4] + slack[config.slots])
     return h

@@ -35,8 +35,9 @@ class ForbiddenSets:
 
     Attributes:
         ids: (n,) ids of the road users.
-        slots: (n, T, 6) centre x, y, m, and the two rows of M with ``z = M (p - c)``, 1/m; a
-            point is inside where ``z1^4 + z2^4 < 1``. Column t stands for t + 1 steps from now.
+        slots: (n, T, 7) centre x, y, m, the two rows of M with ``z = M (p - c)``, 1/m, and the
+            penalty of a unit of normalised distance inside; a point is inside where
+            ``z1^4 + z2^4 < 1``. Column t stands for t + 1 steps from now.
     """
 
     ids: IntArray
@@ -59,19 +60,22 @@ class ForbiddenSets:
         z2 *= z2
         return np.asarray(np.sqrt(np.sqrt((z1 * z1 + z2 * z2).min(axis=-1))))
 
-    def nearest(self, points: FloatArray, count: int) -> ForbiddenSets:
+    def nearest(self, points: FloatArray, count: int, within: float = np.inf) -> ForbiddenSets:
         """The sets that come closest to a trajectory.
 
         Args:
             points: (T, D, 2) centres of the discs along it, m.
             count: How many to keep at the most.
+            within: Normalised distance from which on a set does not matter.
 
         Returns:
             At most ``count`` sets, the closest first.
         """
         if len(self.ids) == 0:
             return self
-        order = np.argsort(self.distance(points).min(axis=-1), kind="stable")[:count]
+        distance = self.distance(points).min(axis=-1)
+        order = np.argsort(distance, kind="stable")[:count]
+        order = order[distance[order] < within]
         return ForbiddenSets(self.ids[order], self.slots[order])
 
 
@@ -107,7 +111,7 @@ def superellipse_axes(
 
 
 def forbidden_sets(
-    occupancy: Occupancy, horizon: int, radius: float, keep: IntArray
+    occupancy: Occupancy, horizon: int, radius: float, keep: IntArray, penalty: FloatArray
 ) -> ForbiddenSets:
     """Widens the sets of some road users.
 
@@ -116,6 +120,7 @@ def forbidden_sets(
         horizon: Number T of steps that are wanted.
         radius: Radius of the ego's discs, m.
         keep: (n,) rows of the road users that matter.
+        penalty: (T,) penalty at each step.
 
     Returns:
         Their forbidden sets; where a road user is not predicted, its set is out of reach.
@@ -136,6 +141,7 @@ def forbidden_sets(
             sin / axes[..., 0],
             -sin / axes[..., 1],
             cos / axes[..., 1],
+            np.broadcast_to(penalty, heading.shape),
         ],
         axis=-1,
     )
@@ -167,7 +173,7 @@ def release(sets: ForbiddenSets, points: FloatArray, dt: float) -> ForbiddenSets
     time = dt * np.arange(sets.slots.shape[1]) / _RELEASE_SECONDS
     factor = share[:, None] + (1.0 - share[:, None]) * np.minimum(time, 1.0)
     slots = sets.slots.copy()
-    slots[..., 2:] /= factor[..., None]
+    slots[..., 2:6] /= factor[..., None]
     return ForbiddenSets(sets.ids, slots)
 
 

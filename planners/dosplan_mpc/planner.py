@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
+import shapely
 
 from dosplan.api import Planner
 from dosplan.types import (
@@ -44,7 +45,9 @@ from dosplan_mpc.traffic import Traffic, look_around
 _SLACK_SEEN = 0.02  # A slack above this makes the planner look at alternatives.
 _BETTER = 0.25  # Share by which a candidate must beat the warm start to be solved as well.
 _WORTH_IT = 3.0  # Cost by which it must beat it at least.
+_EDGE = 0.3  # m that the ego's front keeps from the end of the map.
 _TAIL = 15.0  # Metres by which a follower's set is lengthened to its rear.
+_RELEVANT = 3.0  # Normalised distance to the guess beyond which a set is no constraint.
 _WATCHED = 16  # Road users whose sets are widened; the nearest of them fill the slots.
 
 
@@ -78,17 +81,21 @@ class MpcPlanner(Planner):
 
         Args:
             task: Start, goal and route.
-            road_map: The map; the route already holds its edges.
+            road_map: The map; where the path leaves it, the ego has to be done.
             vehicle: The ego.
         """
-        del road_map
         self._vehicle = vehicle
         self._dt = task.dt
-        self._problem: MpcProblem = problem(self.config, vehicle, task.dt)
+        self._problems: tuple[MpcProblem, ...] = tuple(
+            problem(replace(self.config, slots=slots), vehicle, task.dt)
+            for slots in sorted({self.config.slots // 4, self.config.slots // 2, self.config.slots})
+        )
         _, self._radius = disc_offsets(vehicle, self.config.discs)
         self._stations = station_offsets(vehicle)
         self._path = _aligned(task)
-        self._windows: tuple[GoalWindow, ...] = locate_goals(task, self._path)
+        self._final_step = task.final_step
+        self._farthest = _end_of_road(task, road_map) - vehicle.length / 2.0 - _EDGE
+        self._windows: tuple[GoalWindow, ...] = locate_goals(task, self._path, self._farthest)
         self._sampler = Sampler(self.config, vehicle, self._path, task.dt)
         self._start_velocity = float(task.start[EGO_VELOCITY])
         self._arclength = float(self._path.locate(task.start[:2]))
@@ -119,6 +126,9 @@ class MpcPlanner(Planner):
         traffic = look_around(
             observation, self._path, self._vehicle, position, float(offset), self._start_velocity
         )
+        # Recordings end, and so do their maps: what is left of both has to go together.
+        left = max(self._final_step - observation.step, 1) * self._dt
+        cruise = min(traffic.cruise, max(self._farthest - position, 0.0) / left)
         profile = plan_speed(
             self._path,
             self._windows,
@@ -126,8 +136,9 @@ class MpcPlanner(Planner):
             self._dt,
             position,
             float(observation.ego[EGO_VELOCITY]),
-            traffic.cruise,
+            replace(traffic, cruise=cruise),
             self.config,
+            self._vehicle,
         )
         warm = self._warm_start(observation.step)
         sets = self._sets(observation, occupancy, profile, traffic)
@@ -148,6 +159,7 @@ class MpcPlanner(Planner):
             iterations=sum(s.iterations for s, _ in attempts),
             seconds=sum(s.seconds for s, _ in attempts),
             slack=float(solution.set_slack.max()),
+            road_slack=max(float(solution.road_slack.max()), 0.0),
             active_ids=_active(chosen, solution),
         )
         if not solution.usable and fallback is not None:
@@ -159,7 +171,6 @@ class MpcPlanner(Planner):
             guess=Guess(
                 solution.states,
                 solution.inputs,
-                solution.set_slack,
                 solution.road_slack,
                 arclength,
             ),
@@ -182,8 +193,12 @@ class MpcPlanner(Planner):
         away = np.sqrt((delta**2).sum(axis=-1)).min(axis=-1, initial=np.inf)
         keep = np.argsort(away, kind="stable")[:_WATCHED]
         keep = keep[np.isfinite(away[keep])]
-        sets = forbidden_sets(occupancy, n, self._radius, keep)
-        sets = stretch_back(sets, traffic.followers[keep], _TAIL)
+        followers = traffic.followers[keep]
+        penalty = self.config.set_penalty * np.linspace(1.0, self.config.far_penalty, n)
+        sets = forbidden_sets(
+            occupancy, n, self._radius + self.config.clearance, keep, penalty
+        )
+        sets = stretch_back(sets, followers, _TAIL)
         return release(sets, self._sampler.disc_centres(observation.ego), self._dt)
 
     def _best_sample(
@@ -216,7 +231,6 @@ class MpcPlanner(Planner):
         return Guess(
             states=states,
             inputs=inputs,
-            set_slack=np.zeros_like(g.set_slack),
             road_slack=g.road_slack[keep],
             arclength=g.arclength[gone] + over * self._dt * states[-1, EGO_VELOCITY],
         )
@@ -237,13 +251,18 @@ class MpcPlanner(Planner):
         self, start: FloatArray, guess: Guess, sets: ForbiddenSets, profile: SpeedProfile
     ) -> tuple[Solution, ForbiddenSets]:
         discs = self._sampler.disc_centres(guess.states)
-        chosen = sets.nearest(discs[1:], self.config.slots)
-        stages = np.empty((self.config.horizon + 1, self._problem.stage_size))
+        chosen = sets.nearest(discs[1:], self.config.slots, _RELEVANT)
+        fitting = next(p for p in self._problems if p.config.slots >= len(chosen.ids))
+        stages = np.empty((self.config.horizon + 1, fitting.stage_size))
         s, _ = self._path.project(guess.states[:, :2], guess.arclength)
         row = self._path.at(s)
         stages[:, :4] = row[:, [X, Y, HEADING, CURVATURE]]
         stages[:, 4] = profile.velocity
         stages[:, 5] = profile.offset
+        stages[:, 6] = profile.arclength - self._vehicle.rear_to_centre - s
+        stages[:, 7] = profile.station_weight
+        stages[:, 8] = profile.heading
+        stages[:, 9] = profile.heading_weight
         heading = guess.states[:, EGO_HEADING, None]
         points = guess.states[:, None, :2] + self._stations[:, None] * np.stack(
             [np.cos(heading), np.sin(heading)], axis=-1
@@ -257,16 +276,15 @@ class MpcPlanner(Planner):
         middle[:, 4] = np.maximum(middle[:, 4], profile.right - half)
         middle[:, 5] = np.minimum(middle[:, 5], profile.left + half)
         stages[:, REFERENCE_SIZE:STAGE_HEAD] = stations.reshape(-1, STATIONS * STATION_SIZE)
-        slots = np.tile(np.array(EMPTY_SLOT), (self.config.horizon + 1, self.config.slots, 1))
+        slots = np.tile(np.array(EMPTY_SLOT), (self.config.horizon + 1, fitting.config.slots, 1))
         slots[1:, : len(chosen.ids)] = chosen.slots.transpose(1, 0, 2)
         stages[:, STAGE_HEAD:] = slots.reshape(len(slots), -1)
+        # Slots change their owner between cycles: slacks are made anew from the guess.
+        slack = np.zeros((self.config.horizon, fitting.config.slots))
         if len(chosen.ids):
-            # Slots change their owner between cycles: slacks are made anew from the guess.
-            slack = np.zeros_like(guess.set_slack)
             inside = 1.0 - chosen.distance(discs[1:]).T
             slack[:, : len(chosen.ids)] = np.maximum(inside, 0.0)
-            guess = replace(guess, set_slack=slack)
-        return self._problem.solve(start, stages, guess), chosen
+        return fitting.solve(start, stages, guess, slack), chosen
 
 
 def _usable(attempts: list[tuple[Solution, ForbiddenSets]]) -> bool:
@@ -286,6 +304,14 @@ def _aligned(task: PlanningTask) -> ReferencePath:
     turns = np.round((task.start[EGO_HEADING] - row[HEADING]) / (2.0 * np.pi))
     path.table[:, HEADING] += 2.0 * np.pi * turns
     return path
+
+
+def _end_of_road(task: PlanningTask, road_map: RoadMap) -> float:
+    """Arc length, m, at which the route's path first leaves the road after the start."""
+    route = task.route
+    begin = int(np.argmin(np.hypot(*(route.path - task.start[:2]).T)))
+    off = ~shapely.contains_xy(road_map.drivable, route.path[begin:])
+    return float(route.arclength[begin + int(np.argmax(off))]) if off.any() else np.inf
 
 
 def _previous_acceleration(observation: Observation) -> float:

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 import shapely
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from dosplan.types import FloatArray, Route
 
@@ -16,6 +17,12 @@ CURVATURE: Final = 3
 RIGHT: Final = 4
 LEFT: Final = 5
 
+_REACH = 0.55  # m; an edge counts this far along the path, for a corner between two stations.
+# In a bend a car may swing out into a lane against it: a front that is l ahead of the rear axle
+# runs kappa l^2 / 2 further out.
+_SWING = 10.0  # m2
+_SWING_REACH = 8.0  # m before and after the bend.
+_WIDEST_SWING = 1.5  # m
 _NEWTON_STEPS = 4
 _LONGEST_STEP = 12.0  # m; keeps Newton's method on its branch where the path turns back.
 
@@ -29,12 +36,29 @@ class ReferencePath:
         Args:
             route: The route of the episode.
         """
-        self.table: FloatArray = np.column_stack(
-            [route.path, route.heading, route.curvature, route.right, route.left]
-        )
         self.length = float(route.arclength[-1])
         self._spacing = self.length / (len(route.arclength) - 1)
+        swing = np.minimum(
+            _SWING * maximum_filter1d(np.abs(route.curvature), self._samples(_SWING_REACH)),
+            _WIDEST_SWING,
+        )
+        right = np.maximum(route.outer_right, route.right - swing)
+        left = np.minimum(route.outer_left, route.left + swing)
+        narrow = self._samples(_REACH)
+        self.table: FloatArray = np.column_stack(
+            [
+                route.path,
+                route.heading,
+                route.curvature,
+                maximum_filter1d(right, narrow),
+                minimum_filter1d(left, narrow),
+            ]
+        )
         self._line = shapely.LineString(route.path)
+
+    def _samples(self, reach: float) -> int:
+        """Samples of the table within a distance to both sides."""
+        return 2 * int(np.ceil(reach / self._spacing)) + 1
 
     def at(self, arclength: FloatArray) -> FloatArray:
         """Rows of the table.
@@ -43,7 +67,8 @@ class ReferencePath:
             arclength: Arc lengths, m, any shape; clipped to the path.
 
         Returns:
-            (..., 6) x, y, m; heading, rad, unwrapped; curvature, 1/m; right and left edge, m.
+            (..., 6) x, y, m; heading, rad, unwrapped; curvature, 1/m; right and left edge, m,
+            where they are narrowest within ``_REACH``.
         """
         position = np.clip(arclength / self._spacing, 0.0, len(self.table) - 1.000001)
         low = position.astype(np.int64)

@@ -248,12 +248,16 @@ class Sampler:
         cost = 0.5 * (
             c.lateral_weight * (candidates.offset - profile.offset) ** 2
             + c.velocity_weight * (x[..., 3] - profile.velocity) ** 2
+            + profile.station_weight
+            * (candidates.arclength + self._vehicle.rear_to_centre - profile.arclength) ** 2
+            + profile.heading_weight * (x[..., 4] - profile.heading) ** 2
         )[:, 1:].sum(axis=1)
         cost += 0.5 * c.acceleration_weight * (acceleration**2).sum(axis=1)
         cost += c.road_penalty * (outside + _SLIP_PENALTY * slip)[:, 1:].sum(axis=1)
         if len(sets.ids):
             distance = sets.distance(self.disc_centres(x[:, 1:]))
-            cost += c.set_penalty * np.maximum(1.0 - distance, 0.0).sum(axis=(1, 2))
+            inside = sets.slots[..., 6] * np.maximum(1.0 - distance, 0.0)
+            cost += inside.sum(axis=(1, 2))
         return np.asarray(cost)
 
     def guess(self, candidates: Candidates, index: int) -> Guess:
@@ -270,7 +274,6 @@ class Sampler:
         return Guess(
             states=candidates.states[index],
             inputs=candidates.inputs[index],
-            set_slack=np.zeros((n, self._config.slots)),
             road_slack=np.zeros(n),
             arclength=candidates.arclength[index],
         )

@@ -23,6 +23,7 @@ _ALIGNED = 0.7  # cosine of the largest angle to the path
 _AHEAD, _BEHIND = 80.0, 40.0  # m
 _STANDSTILL_GAP = 2.0  # m
 _HEADWAY = 0.8  # s
+_PRESSING = 1.5  # s; a follower that is nearer than this presses.
 _GAP_GAIN = 0.5  # 1/s, share of the gap's error that is closed in a second
 
 
@@ -32,10 +33,12 @@ class Traffic:
 
     Attributes:
         cruise: Speed that is wanted but for a goal, m/s.
+        pressed: Whether a follower is close behind.
         followers: (N,) whether a road user of the observation follows the ego in its lane.
     """
 
     cruise: float
+    pressed: bool
     followers: BoolArray
 
 
@@ -65,7 +68,7 @@ def look_around(
         Cruising speed and followers.
     """
     if len(observation.ids) == 0:
-        return Traffic(start_velocity, np.zeros(0, dtype=np.bool_))
+        return Traffic(start_velocity, False, np.zeros(0, dtype=np.bool_))
     now = observation.states[:, -1]
     points = now[:, [USER_X, USER_Y]]
     along, across = path.project(points, path.locate(points), iterations=1)
@@ -76,12 +79,16 @@ def look_around(
     behind = lane & (distance < 0.0) & (distance > -_BEHIND)
     front = lane & (distance > 0.0) & (distance < _AHEAD)
     cruise = start_velocity
+    pressed = False
     if behind.any():
-        cruise = max(cruise, float(speed[np.argmax(np.where(behind, distance, -np.inf))]))
+        follower = int(np.argmax(np.where(behind, distance, -np.inf)))
+        cruise = max(cruise, float(speed[follower]))
+        gap = -float(distance[follower]) - 0.5 * (observation.size[follower, 0] + vehicle.length)
+        pressed = bool(gap < _PRESSING * speed[follower])
     if front.any():
         leader = int(np.argmin(np.where(front, distance, np.inf)))
         cruise = max(cruise, float(speed[leader]))
         gap = float(distance[leader] - 0.5 * (observation.size[leader, 0] + vehicle.length))
         wanted = _STANDSTILL_GAP + _HEADWAY * float(observation.ego[EGO_VELOCITY])
         cruise = min(cruise, max(float(speed[leader]) + _GAP_GAIN * (gap - wanted), 0.0))
-    return Traffic(cruise, behind)
+    return Traffic(cruise, pressed, behind)

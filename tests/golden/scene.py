@@ -122,7 +122,18 @@ def _scenario(scene: dict[str, Any], name: str) -> Scenario:
         start=ego[0],
         goals=(GoalState(goal["first_step"], goal["last_step"], shapely.box(*goal["box"])),),
         final_step=goal["last_step"],
-        route=Route((1,), x, path, flat, flat, flat + 1.75, flat - 1.75, flat + np.inf),
+        route=Route(
+            (1,),
+            x,
+            path,
+            heading=flat,
+            curvature=flat,
+            left=flat + 1.75,
+            right=flat - 1.75,
+            outer_left=flat + 1.75,
+            outer_right=flat - 1.75,
+            speed_limit=flat + np.inf,
+        ),
     )
     road_map = RoadMap(lanelets, drivable)
     tracks = _tracks(scene.get("users", []))

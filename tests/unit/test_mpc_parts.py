@@ -9,7 +9,13 @@ import casadi as ca
 import numpy as np
 import pytest
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.goal import braking_envelope, cruise_for_goal, locate_goals, plan_speed
+from dosplan_mpc.goal import (
+    braking_envelope,
+    cruise_for_goal,
+    curve_speed,
+    locate_goals,
+    plan_speed,
+)
 from dosplan_mpc.nlp import (
     EMPTY_SLOT,
     REFERENCE_SIZE,
@@ -18,6 +24,7 @@ from dosplan_mpc.nlp import (
     STATION_SIZE,
     Guess,
     MpcProblem,
+    Solution,
     disc_offsets,
     problem,
     station_offsets,
@@ -29,7 +36,7 @@ from dosplan_mpc.obstacles import (
     stretch_back,
     superellipse_axes,
 )
-from dosplan_mpc.reference import CURVATURE, HEADING, ReferencePath
+from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, ReferencePath
 from dosplan_mpc.sampler import Sampler
 from dosplan_mpc.traffic import Traffic, look_around
 from hypothesis import given, settings
@@ -44,6 +51,9 @@ from dosplan.vehicle import VehicleParameters
 
 VEHICLE = VehicleParameters()
 DT = 0.1
+HORIZON = MpcConfig().horizon
+PENALTY = np.full(HORIZON, 200.0)
+FREE = Traffic(cruise=10.0, pressed=False, followers=np.zeros(0, dtype=np.bool_))
 
 
 def circle_route(radius: float, turn: float = np.pi) -> Route:
@@ -60,6 +70,8 @@ def circle_route(radius: float, turn: float = np.pi) -> Route:
         curvature=ones / radius,
         left=4.0 * ones,
         right=-4.0 * ones,
+        outer_left=4.0 * ones,
+        outer_right=-4.0 * ones,
         speed_limit=np.inf * ones,
     )
 
@@ -124,8 +136,8 @@ def occupancy_at(x: float, y: float, heading: float = 0.0, semi: float = 0.0) ->
 
 
 def test_forbidden_set_follows_heading_and_grows_with_the_set() -> None:
-    across = forbidden_sets(occupancy_at(10.0, 0.0, np.pi / 2), 30, 1.0, np.array([0]))
-    wide = forbidden_sets(occupancy_at(10.0, 0.0, np.pi / 2, 1.0), 30, 1.0, np.array([0]))
+    across = forbidden_sets(occupancy_at(10.0, 0.0, np.pi / 2), 30, 1.0, np.array([0]), PENALTY)
+    wide = forbidden_sets(occupancy_at(10.0, 0.0, np.pi / 2, 1.0), 30, 1.0, np.array([0]), PENALTY)
     beside = np.array([[[[10.0, 3.3]]]] * 1).repeat(30, axis=1)[0]  # along the car's length
     ahead = np.array([[[[13.4, 0.0]]]] * 1).repeat(30, axis=1)[0]  # across it
     assert across.distance(beside)[0, 0] < across.distance(ahead)[0, 0]
@@ -137,12 +149,12 @@ def test_forbidden_set_follows_heading_and_grows_with_the_set() -> None:
 
 def test_unpredicted_road_user_is_out_of_reach() -> None:
     gone = replace(occupancy_at(10.0, 0.0), valid=np.zeros((1, 40), dtype=np.bool_))
-    sets = forbidden_sets(gone, 30, 1.0, np.array([0]))
+    sets = forbidden_sets(gone, 30, 1.0, np.array([0]), PENALTY)
     assert sets.distance(np.full((30, 1, 2), [10.0, 0.0])).min() > 100.0
 
 
 def test_release_lets_go_of_the_ego_and_comes_back() -> None:
-    sets = forbidden_sets(occupancy_at(0.0, 2.0), 30, 1.0, np.array([0]))
+    sets = forbidden_sets(occupancy_at(0.0, 2.0), 30, 1.0, np.array([0]), PENALTY)
     ego = np.array([[0.0, 0.3]])
     assert sets.distance(ego[None].repeat(30, axis=0))[0, 0] < 1.0
     released = release(sets, ego, DT).distance(ego[None].repeat(30, axis=0))[0]
@@ -154,17 +166,19 @@ def test_release_lets_go_of_the_ego_and_comes_back() -> None:
 
 
 def test_release_keeps_sets_that_do_not_hold_the_ego() -> None:
-    sets = forbidden_sets(occupancy_at(0.0, 9.0), 30, 1.0, np.array([0]))
+    sets = forbidden_sets(occupancy_at(0.0, 9.0), 30, 1.0, np.array([0]), PENALTY)
     np.testing.assert_array_equal(release(sets, np.zeros((1, 2)), DT).slots, sets.slots)
 
 
 def test_nearest_orders_by_normalised_distance() -> None:
-    a = forbidden_sets(occupancy_at(30.0, 0.0), 30, 1.0, np.array([0]))
-    b = forbidden_sets(occupancy_at(12.0, 0.0), 30, 1.0, np.array([0]))
+    a = forbidden_sets(occupancy_at(30.0, 0.0), 30, 1.0, np.array([0]), PENALTY)
+    b = forbidden_sets(occupancy_at(12.0, 0.0), 30, 1.0, np.array([0]), PENALTY)
     both = ForbiddenSets(np.array([1, 2]), np.concatenate([a.slots, b.slots]))
     way = np.zeros((30, 1, 2))
     np.testing.assert_array_equal(both.nearest(way, 5).ids, [2, 1])
     np.testing.assert_array_equal(both.nearest(way, 1).ids, [2])
+    # 12 m are four half axes of some 3.2 m, 30 m are nine.
+    np.testing.assert_array_equal(both.nearest(way, 5, within=5.0).ids, [2])
 
 
 # Path and goals
@@ -246,10 +260,80 @@ def test_cruise_meets_the_window(
 
 def test_profile_slows_down_for_a_curve() -> None:
     path = ReferencePath(circle_route(10.0, turn=6.0))
-    profile = plan_speed(path, (), 0, DT, 1.0, 12.0, 12.0, MpcConfig())
+    profile = plan_speed(
+        path, (), 0, DT, 1.0, 12.0, replace(FREE, cruise=12.0), MpcConfig(), VEHICLE
+    )
     # sqrt(4 m/s2 * 10 m) = 6.3 m/s
     assert profile.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
     assert np.all(profile.velocity >= 0.0)
+
+
+def test_a_curve_is_taken_no_faster_than_the_wheels_turn() -> None:
+    """From straight to a radius of 10 m within 2 m: the steering's rate binds, not the tyres."""
+    route = straight_route(100.0)
+    along = route.arclength - 50.0
+    curvature = 0.1 * np.clip(along / 2.0, 0.0, 1.0)
+    path = ReferencePath(replace(route, curvature=curvature))
+    (speed,) = curve_speed(path, np.array([51.0]), 9.0, VEHICLE)
+    # atan(wheelbase * 0.1) of steering over a window of 3 m.
+    wanted = VEHICLE.max_steering_rate * 3.0 / np.arctan(VEHICLE.wheelbase * 0.1)
+    assert speed == pytest.approx(wanted, rel=0.02)
+    assert speed < np.sqrt(9.0 / 0.1)
+
+
+def test_who_is_pressed_takes_a_curve_faster() -> None:
+    path = ReferencePath(circle_route(10.0, turn=6.0))
+    calm, pressed = (
+        plan_speed(path, (), 0, DT, 1.0, 12.0, replace(FREE, pressed=p), MpcConfig(), VEHICLE)
+        for p in (False, True)
+    )
+    # sqrt(7 m/s2 * 10 m) = 8.4 m/s against 6.3 m/s
+    assert calm.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
+    assert pressed.velocity[-1] == pytest.approx(np.sqrt(70.0), abs=0.1)
+
+
+def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
+    task = goal_task(GoalState(100, 100, box(-10.0, -1.0, 2.0, 1.0)))
+    path = ReferencePath(task.route)
+    windows = locate_goals(task, path)
+    # The region ends at 22 m of path; the last metre is kept as a reserve.
+    profile = plan_speed(path, windows, 0, DT, 21.2, 2.0, FREE, MpcConfig(), VEHICLE)
+    assert profile.velocity[-1] == 0.0
+    late = plan_speed(path, windows, 101, DT, 21.2, 2.0, FREE, MpcConfig(), VEHICLE)
+    assert late.velocity[-1] == pytest.approx(FREE.cruise)
+
+
+def test_a_goal_ends_where_the_ego_has_to_stop() -> None:
+    task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0)))
+    (window,) = locate_goals(task, ReferencePath(task.route), farthest=70.0)
+    assert window.end == 70.0
+    (beyond,) = locate_goals(task, ReferencePath(task.route), farthest=10.0)
+    assert beyond.end == beyond.begin
+
+
+@pytest.mark.parametrize("lap", [0.0, 2.0 * np.pi, -2.0 * np.pi])
+def test_heading_of_a_goal_is_on_the_turn_of_the_path(lap: float) -> None:
+    task = goal_task(GoalState(0, 30, box(0.0, -1.0, 20.0, 1.0), heading=(0.1 + lap, 0.3 + lap)))
+    path = ReferencePath(task.route)
+    (window,) = locate_goals(task, path)
+    assert window.heading == pytest.approx((0.1, 0.3))
+    profile = plan_speed(path, (window,), 0, DT, 25.0, 5.0, FREE, MpcConfig(), VEHICLE)
+    # The path's own heading, 0, is 0.1 rad off: 0.03 rad within the window are asked for.
+    np.testing.assert_allclose(profile.heading[:5], 0.13)
+    assert np.all(profile.heading_weight[:5] > 0.0)
+
+
+def test_a_bend_lends_room_of_the_lane_against() -> None:
+    tight, wide = (
+        replace(circle_route(radius), left=np.full(n, 1.5), outer_left=np.full(n, outer))
+        for radius, outer in ((8.0, 6.0), (400.0, 6.0))
+        for n in (len(circle_route(radius).arclength),)
+    )
+    assert ReferencePath(tight).table[5, LEFT] == pytest.approx(1.5 + 10.0 / 8.0)
+    assert ReferencePath(wide).table[5, LEFT] == pytest.approx(1.5 + 10.0 / 400.0)
+    # Never beyond the drivable area.
+    walled = replace(tight, outer_left=tight.left)
+    assert ReferencePath(walled).table[5, LEFT] == 1.5
 
 
 def seen(users: list[list[float]], velocity: float = 10.0) -> Traffic:
@@ -268,6 +352,9 @@ def test_traffic_is_sorted_into_leader_and_followers() -> None:
     behind = seen([[-9.1, 0.0, 0.0, 14.0], [60.0, 3.5, 0.0, 2.0], [50.0, 0.0, np.pi, 9.0]])
     assert behind.cruise == 14.0
     np.testing.assert_array_equal(behind.followers, [True, False, False])
+    # 9.1 + 1.42 - 4.5 m of gap at 14 m/s are 0.4 s, 15.4 m at 9 m/s are 1.7.
+    assert behind.pressed
+    assert not seen([[-18.5, 0.0, 0.0, 9.0]]).pressed
     # Gap 16 - 4.5 m; wanted 2 + 0.8 * 10 m: 6 + 0.5 * (11.5 - 10).
     leader = seen([[17.42, 0.0, 0.0, 6.0]])
     assert leader.cruise == pytest.approx(6.75, abs=0.01)
@@ -275,7 +362,7 @@ def test_traffic_is_sorted_into_leader_and_followers() -> None:
 
 
 def test_a_stretched_set_keeps_its_front_and_reaches_back() -> None:
-    sets = forbidden_sets(occupancy_at(0.0, 0.0), 30, 1.0, np.array([0]))
+    sets = forbidden_sets(occupancy_at(0.0, 0.0), 30, 1.0, np.array([0]), PENALTY)
     longer = stretch_back(sets, np.array([True]), 10.0)
     front = 1.0 / sets.slots[0, 0, 2]
     for x, inside in ((front - 0.01, True), (front + 0.01, False), (-front - 9.9, True)):
@@ -290,7 +377,7 @@ def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
     config = MpcConfig()
     path = ReferencePath(straight_route())
     sampler = Sampler(config, VEHICLE, path, DT)
-    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, 10.0, config)
+    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, FREE, config, VEHICLE)
     start = np.array([0.0, 0.2, 0.0, 10.0, 0.05, 0.0])
     candidates = sampler.sample(start, 20.0, 0.2, profile)
     assert np.all(candidates.states[:, 0] == start)
@@ -307,11 +394,13 @@ def test_rating_prefers_the_free_side() -> None:
     config = MpcConfig()
     path = ReferencePath(straight_route())
     sampler = Sampler(config, VEHICLE, path, DT)
-    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, 10.0, config)
+    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, FREE, config, VEHICLE)
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     candidates = sampler.sample(start, 20.0, 0.0, profile)
     _, radius = disc_offsets(VEHICLE, config.discs)
-    blocked = forbidden_sets(occupancy_at(22.0, -0.5), config.horizon, radius, np.array([0]))
+    blocked = forbidden_sets(
+        occupancy_at(22.0, -0.5), config.horizon, radius, np.array([0]), PENALTY
+    )
     best = int(np.argmin(sampler.rate(candidates, blocked, profile)))
     distance = blocked.distance(sampler.disc_centres(candidates.states[best, 1:]))
     assert distance.min() > 0.95
@@ -348,10 +437,14 @@ def straight_guess(mpc: MpcProblem, lateral: float = 0.0) -> Guess:
     return Guess(
         states,
         np.zeros((n, 2)),
-        np.zeros((n, mpc.config.slots)),
         np.zeros(n),
         states[:, 0].copy(),
     )
+
+
+def solved(mpc: MpcProblem, start: FloatArray, stages: FloatArray, guess: Guess) -> Solution:
+    """The solution from a guess that enters no set."""
+    return mpc.solve(start, stages, guess, np.zeros((mpc.config.horizon, mpc.config.slots)))
 
 
 @pytest.fixture(scope="module")
@@ -366,7 +459,7 @@ def test_problem_is_built_once(mpc: MpcProblem) -> None:
 def test_solution_obeys_the_vehicle_model(mpc: MpcProblem) -> None:
     start = np.array([0.0, 0.6, 0.02, 10.0, 0.05, 0.3])
     guess = straight_guess(mpc)
-    solution = mpc.solve(start, straight_stages(mpc, guess.states), guess)
+    solution = solved(mpc, start, straight_stages(mpc, guess.states), guess)
     assert solution.status is SolveStatus.SOLVED
     state = start[:5]
     for k in range(mpc.config.horizon):
@@ -378,10 +471,12 @@ def test_solution_obeys_the_vehicle_model(mpc: MpcProblem) -> None:
 
 def test_road_user_is_passed_outside_its_set(mpc: MpcProblem) -> None:
     _, radius = disc_offsets(VEHICLE, mpc.config.discs)
-    sets = forbidden_sets(occupancy_at(20.0, -0.4), mpc.config.horizon, radius, np.array([0]))
+    sets = forbidden_sets(
+        occupancy_at(20.0, -0.4), mpc.config.horizon, radius, np.array([0]), PENALTY
+    )
     guess = straight_guess(mpc, lateral=2.5)
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
-    solution = mpc.solve(start, straight_stages(mpc, guess.states, sets), guess)
+    solution = solved(mpc, start, straight_stages(mpc, guess.states, sets), guess)
     assert solution.usable
     discs, _ = disc_offsets(VEHICLE, mpc.config.discs)
     x = solution.states[1:]
@@ -395,16 +490,32 @@ def test_unavoidable_set_has_slack_of_its_own(mpc: MpcProblem) -> None:
     """One set the ego cannot leave must not loosen another."""
     _, radius = disc_offsets(VEHICLE, mpc.config.discs)
     n = mpc.config.horizon
-    here = forbidden_sets(occupancy_at(1.4, 0.0), n, radius, np.array([0]))
-    ahead = forbidden_sets(occupancy_at(22.0, -0.4), n, radius, np.array([0]))
+    here = forbidden_sets(occupancy_at(1.4, 0.0), n, radius, np.array([0]), PENALTY)
+    ahead = forbidden_sets(occupancy_at(22.0, -0.4), n, radius, np.array([0]), PENALTY)
     guess = straight_guess(mpc, lateral=2.5)
     stages = straight_stages(mpc, guess.states, here)
     stages[1:, STAGE_HEAD + SLOT_SIZE : STAGE_HEAD + 2 * SLOT_SIZE] = ahead.slots[0]
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
-    solution = mpc.solve(start, stages, guess)
+    solution = solved(mpc, start, stages, guess)
     assert solution.usable
     assert solution.set_slack[:, 0].max() > 0.3
     assert solution.set_slack[:, 1].max() < 0.01
+
+
+def test_a_set_is_entered_where_it_costs_less_than_the_way_around(mpc: MpcProblem) -> None:
+    """The penalty of a slot is its own: the same set is obeyed or not, as it is priced."""
+    _, radius = disc_offsets(VEHICLE, mpc.config.discs)
+    start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    guess = straight_guess(mpc)
+    slacks = []
+    for price in (0.1, 2000.0):
+        sets = forbidden_sets(
+            occupancy_at(25.0, -0.8), HORIZON, radius, np.array([0]), np.full(HORIZON, price)
+        )
+        stages = straight_stages(mpc, guess.states, sets)
+        slacks.append(solved(mpc, start, stages, guess).set_slack.max())
+    assert slacks[0] > 0.1
+    assert slacks[1] < 0.01
 
 
 def test_fatrop_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -421,11 +532,11 @@ def test_fatrop_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ca, "nlpsol", ipopt)
     oracle = MpcProblem(config, VEHICLE, DT)
     _, radius = disc_offsets(VEHICLE, config.discs)
-    sets = forbidden_sets(occupancy_at(12.0, -0.8), config.horizon, radius, np.array([0]))
+    sets = forbidden_sets(occupancy_at(12.0, -0.8), 15, radius, np.array([0]), PENALTY[:15])
     guess = straight_guess(ours, lateral=1.5)
     start = np.array([0.0, 0.4, 0.0, 9.0, 0.03, 0.0])
     stages = straight_stages(ours, guess.states, sets)
-    a, b = ours.solve(start, stages, guess), oracle.solve(start, stages, guess)
+    a, b = solved(ours, start, stages, guess), solved(oracle, start, stages, guess)
     assert a.status is b.status is SolveStatus.SOLVED
     assert a.cost == pytest.approx(b.cost, rel=1e-4)
     np.testing.assert_allclose(a.states, b.states, atol=5e-3)
@@ -435,6 +546,6 @@ def test_nan_is_a_status_not_an_exception(mpc: MpcProblem) -> None:
     guess = straight_guess(mpc)
     stages = straight_stages(mpc, guess.states)
     stages[5, 4] = np.nan
-    solution = mpc.solve(np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), stages, guess)
+    solution = solved(mpc, np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), stages, guess)
     assert not solution.usable
     assert solution.status is SolveStatus.SOLVER_ERROR

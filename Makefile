@@ -5,8 +5,9 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet --constraint constraints.txt
 WORKERS ?= $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
 RUN_ARGS ?=
+PEERS_ARGS ?=
 
-.PHONY: run test test-all suite-check bench lint clean
+.PHONY: run test test-all suite-check bench peers bench-peers lint clean
 
 run: $(VENV)/.run
 	$(BIN)/dosplan run --workers $(WORKERS) $(RUN_ARGS)
@@ -25,6 +26,15 @@ suite-check: $(VENV)/.dev
 bench: $(VENV)/.dev
 	$(PIP) --editable ".[onnx]"
 	$(BIN)/python tests/bench.py
+
+# Other people's planners; the reactive planner needs Python 3.11.
+peers: $(VENV)/.dev
+	$(PIP) --editable ".[peers]"
+	$(BIN)/python -m tests.peers_table --workers $(WORKERS) $(PEERS_ARGS)
+
+bench-peers: $(VENV)/.dev
+	$(PIP) --editable ".[peers]"
+	$(BIN)/python -m tests.bench_peers $(PEERS_ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -47,6 +57,6 @@ $(VENV)/.run: $(BIN)/python pyproject.toml constraints.txt
 # The drivability checker is an oracle of some tests only, and one of its dependencies comes as
 # source: where no compiler is at hand, those tests are skipped and say so.
 $(VENV)/.dev: $(VENV)/.run
-	$(PIP) --editable ".[dev,cluster,onnx]"
+	$(PIP) --editable ".[dev,cluster,onnx,frames]"
 	$(PIP) --editable ".[oracle]" || echo "no drivability checker: its oracle tests are skipped"
 	touch $@

@@ -1,5 +1,46 @@
-"""dosplan: a benchmark for motion planners under prediction uncertainty."""
+"""dosplan: a benchmark for motion planners under prediction uncertainty.
+
+What a script or a notebook needs is imported when it is asked for, so that ``import dosplan`` costs
+nothing: ``find_scenarios``, ``load_scenario``, ``run_episode``, ``run_suite``, ``open_run``,
+``compare``, ``Arm`` and ``ScenarioRef``.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from dosplan.library import compare, open_run, run_episode, run_suite
+    from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
+    from dosplan.types import Arm
+
 __version__ = "0.2.0"
+
+__all__ = [
+    "Arm",
+    "ScenarioRef",
+    "compare",
+    "find_scenarios",
+    "load_scenario",
+    "open_run",
+    "run_episode",
+    "run_suite",
+]
+
+_MODULES: Final = {
+    "Arm": "dosplan.types",
+    "ScenarioRef": "dosplan.scenario",
+    "find_scenarios": "dosplan.scenario",
+    "load_scenario": "dosplan.scenario",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULES.get(name, "dosplan.library")), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -26,6 +26,13 @@ class PluginError(RuntimeError):
     """A plug-in broke its contract; the message names it."""
 
 
+class NoPlanError(RuntimeError):
+    """A planner found no plan and has none to fall back to: it declares its failure.
+
+    The episode ends there as a planner failure.
+    """
+
+
 def _refuse_overrides(plugin: type, base: type, instead: Mapping[str, str]) -> None:
     """Raises TypeError where a plug-in overrides what belongs to the benchmark."""
     for method, hook in instead.items():
@@ -123,6 +130,9 @@ class Planner(ABC):
 
         Returns:
             A plan whose first state is ``observation.ego``.
+
+        Raises:
+            NoPlanError: There is none.
         """
 
 

@@ -83,7 +83,7 @@ def _terminated_as_interrupted() -> Iterator[None]:
 
 def _user_errors() -> tuple[type[Exception], ...]:
     from dosplan.commands import CommandError
-    from dosplan.compare import CompareError
+    from dosplan.comparison import CompareError
     from dosplan.evaluation.evaluate import EvaluationError
     from dosplan.evaluation.methods import MethodError
     from dosplan.files import FileError

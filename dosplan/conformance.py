@@ -10,16 +10,18 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from dosplan.api import OraclePredictor, Planner, Predictor
+from dosplan.api import NoPlanError, OraclePredictor, Planner, Predictor
 from dosplan.registry import failure_place, one_line
 from dosplan.scenes import busy_scenario, crowded_scenario, growing_sets, straight_scenario
 from dosplan.simulation import observe
 from dosplan.types import (
+    HISTORY_STEPS,
     FloatArray,
     Observation,
     Occupancy,
@@ -34,7 +36,6 @@ SLOW_SECONDS = 2.0  # Median time of a call; a cycle of the benchmark is 0.1 s.
 MODEL_TOLERANCE = 0.05  # m, rad and m/s between a plan's states and those of the vehicle model.
 INPUT_TOLERANCE = 0.05  # rad/s and m/s2 beyond what the actuators deliver.
 
-_HISTORY = 31
 _CYCLES = 3
 
 
@@ -175,7 +176,7 @@ def _common_checks(
         ("reset_forgets", lambda: _forgets(build(), drive, drive_one)),
         ("input_untouched", lambda: _keeps_input(drive(busy_scenario()))),
         ("no_road_users", lambda: drive(straight_scenario())),
-        ("many_road_users", lambda: drive(crowded_scenario())),
+        ("many_road_users", lambda: _copes(drive)),
         ("short_history", lambda: drive(busy_scenario(), visible=1)),
         ("time", lambda: _in_time(drive(busy_scenario()))),
     )
@@ -210,12 +211,14 @@ def _check(name: str, check: Callable[[], object], factory: Callable[..., Any]) 
     return Check(name, True)
 
 
-def _observation(scenario: Scenario, driven: FloatArray, visible: int = _HISTORY) -> Observation:
+def _observation(
+    scenario: Scenario, driven: FloatArray, visible: int = HISTORY_STEPS
+) -> Observation:
     """What is seen after some driving; road users have been on the scene for ``visible`` steps."""
     step = scenario.task.start_step + len(driven) - 1
-    seen = observe(scenario, step, driven, _HISTORY)
+    seen = observe(scenario, step, driven, HISTORY_STEPS)
     valid = np.array(seen.valid)
-    valid[:, : _HISTORY - visible] = False
+    valid[:, : HISTORY_STEPS - visible] = False
     return replace(seen, valid=valid, states=np.where(valid[..., None], seen.states, np.nan))
 
 
@@ -223,7 +226,7 @@ def _drive_planner(
     planner: Planner,
     scenario: Scenario,
     *,
-    visible: int = _HISTORY,
+    visible: int = HISTORY_STEPS,
     sets: Callable[[Observation], Occupancy] = growing_sets,
 ) -> _Trace:
     """A few cycles in closed loop."""
@@ -247,7 +250,7 @@ def _drive_planner(
 
 
 def _drive_predictor(
-    predictor: Predictor, scenario: Scenario, *, visible: int = _HISTORY
+    predictor: Predictor, scenario: Scenario, *, visible: int = HISTORY_STEPS
 ) -> _Trace:
     """A few predictions of a scene that moves on; the ego stands."""
     if isinstance(predictor, OraclePredictor):
@@ -319,6 +322,11 @@ def _keeps_input(trace: _Trace) -> None:
         raise _BrokenError(
             f"changed {', '.join(sorted(set(trace.touched)))}; work on copies of what it is handed"
         )
+
+
+def _copes(drive: _Drive) -> None:
+    with suppress(NoPlanError):  # To say that nothing is free in a crowd is an answer, too.
+        drive(crowded_scenario())
 
 
 def _in_time(trace: _Trace) -> None:

@@ -6,14 +6,34 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from hashlib import sha256
 from pathlib import Path
 from typing import IO, Any, Final
+from urllib.parse import quote
 
+_LONGEST_NAME: Final = 200  # File systems allow 255 bytes; endings need some of them.
 _HALF: Final = ".part"  # Ends the name of a file that is being written.
 
 
 class FileError(RuntimeError):
     """A file of a run that cannot be written, or is not what it should be; one line."""
+
+
+def file_name(name: str) -> str:
+    """Makes a file name of any text: what is unsafe in one is quoted, what is too long is cut.
+
+    Args:
+        name: The text.
+
+    Returns:
+        A name without folder and ending; two texts do not have the same one.
+    """
+    data = name.encode(errors="surrogateescape")  # It may be that of a file name.
+    safe = quote(data, safe="@")
+    if len(safe) <= _LONGEST_NAME:
+        return safe
+    digest = sha256(data).hexdigest()[:16]
+    return f"{safe[: _LONGEST_NAME - len(digest) - 1]}-{digest}"
 
 
 @contextmanager

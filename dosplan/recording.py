@@ -48,6 +48,10 @@ class Recording:
         status: C words of ``SolveStatus``.
         iterations: (C,) solver iterations.
         slack: (C,) largest slack of a set constraint.
+        road_slack: (C,) how far the plan leaves the road, m; NaN in files of versions that did not
+            keep it.
+        active_ids: C tuples of the ids of the road users whose sets touch the plan; empty in
+            those files.
         fallback: C names of the fallback driven, empty where none was.
         plan_centres: (C, T + 1, 2) planned centres of the ego's rectangle, m; NaN past the end
             of a plan that is shorter than the longest.
@@ -72,6 +76,8 @@ class Recording:
     status: tuple[str, ...]
     iterations: IntArray
     slack: FloatArray
+    road_slack: FloatArray
+    active_ids: tuple[tuple[int, ...], ...]
     fallback: tuple[str, ...]
     plan_centres: FloatArray
     set_cycle: IntArray
@@ -113,6 +119,9 @@ def pack_recording(episode: Episode, vehicle: VehicleParameters) -> bytes:
         "status": np.array([report.status.word for report in reports], dtype=np.str_),
         "iterations": np.array([report.iterations for report in reports], dtype=np.int32),
         "slack": np.array([report.slack for report in reports], dtype=np.float32),
+        "road_slack": np.array([report.road_slack for report in reports], dtype=np.float32),
+        "active_ids": np.array([i for r in reports for i in r.active_ids], dtype=np.int64),
+        "active_counts": np.array([len(r.active_ids) for r in reports], dtype=np.int32),
         "fallback": np.array([report.fallback or "" for report in reports], dtype=np.str_),
         "plan_centres": _grain(_planned_centres(episode, vehicle) - origin),
         **_kept_sets(episode, origin),
@@ -137,6 +146,10 @@ def load_recording(path: Path) -> Recording:
     with _opened(path) as file:
         arrays = {name: file[name] for name in file.files}
         origin = arrays["states"][0, :2]
+        cycles = len(arrays["cycle_steps"])
+        road_slack = arrays.get("road_slack", np.full(cycles, np.nan))
+        active_ids = arrays.get("active_ids", np.empty(0, dtype=np.int64))
+        active_counts = arrays.get("active_counts", np.zeros(cycles, dtype=np.int32))
         return Recording(
             scenario_id=str(arrays["scenario_id"]),
             arm=Arm(str(arrays["arm"])),
@@ -151,6 +164,11 @@ def load_recording(path: Path) -> Recording:
             status=tuple(arrays["status"].tolist()),
             iterations=arrays["iterations"].astype(np.int64),
             slack=arrays["slack"].astype(np.float64),
+            road_slack=road_slack.astype(np.float64),
+            active_ids=tuple(
+                tuple(ids.tolist())
+                for ids in np.split(active_ids, np.cumsum(active_counts))[:cycles]
+            ),
             fallback=tuple(arrays["fallback"].tolist()),
             plan_centres=arrays["plan_centres"].astype(np.float64) + origin,
             set_cycle=arrays["set_cycle"].astype(np.int64),

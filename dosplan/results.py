@@ -20,21 +20,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from hashlib import sha256
+from dataclasses import MISSING, asdict, dataclass, fields
 from itertools import product
 from pathlib import Path
 from typing import IO, Any, Final, NoReturn, TypedDict, get_type_hints
-from urllib.parse import quote
 
 import numpy as np
 
-from dosplan.files import FileError, atomic_file, read_json
+from dosplan.files import FileError, atomic_file, file_name, read_json
 from dosplan.recording import load_cycle_ms
 from dosplan.types import Arm, CollisionClass, FloatArray, Outcome, Score
 
-_LONGEST_NAME: Final = 200  # File systems allow 255 bytes; endings need some of them.
 _COLUMNS: Final = get_type_hints(Score)
+_REQUIRED: Final = {column.name for column in fields(Score) if column.default is MISSING}
 _MANIFEST: Final = {
     "config": dict,
     "planner": str,
@@ -112,8 +110,13 @@ class RunFolder:
         """``summary.md``."""
         return self.path / "summary.md"
 
+    @property
+    def report(self) -> Path:
+        """``report.html``."""
+        return self.path / "report.html"
+
     def recording(self, scenario: str, arm: Arm) -> Path:
-        """File of an episode; what is unsafe in a file name is quoted, what is too long is cut.
+        """File of an episode.
 
         Args:
             scenario: Id of the scenario.
@@ -122,12 +125,7 @@ class RunFolder:
         Returns:
             Its path.
         """
-        data = scenario.encode(errors="surrogateescape")  # It may be that of a file name.
-        name = quote(data, safe="@")
-        if len(name) > _LONGEST_NAME:
-            digest = sha256(data).hexdigest()[:16]
-            name = f"{name[: _LONGEST_NAME - len(digest) - 1]}-{digest}"
-        return self.path / "episodes" / f"{name}.{arm.value}.npz"
+        return self.path / "episodes" / f"{file_name(scenario)}.{arm.value}.npz"
 
     def traceback(self, scenario: str, arm: Arm) -> Path:
         """File of the traceback of an episode in which Python raised.
@@ -326,9 +324,9 @@ def pooled_cycle_ms(folder: RunFolder, rows: Iterable[Score], arm: Arm) -> Float
 def _score(row: Any) -> Score:
     if not isinstance(row, dict):
         raise TypeError("not an object")
-    unknown = row.keys() ^ _COLUMNS.keys()
-    if unknown:
-        raise ValueError(f"columns {', '.join(sorted(unknown))} do not match")
+    odd = (row.keys() - _COLUMNS.keys()) | (_REQUIRED - row.keys())
+    if odd:
+        raise ValueError(f"columns {', '.join(sorted(odd))} do not match")
     kind = row["collision_class"]
     typed = {
         "arm": Arm(row["arm"]),

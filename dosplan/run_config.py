@@ -6,12 +6,13 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
 from dosplan.types import Arm
 
-FREE: Final = ("workers", "source", "cluster", "cache")
+FREE: Final = ("workers", "source", "cluster", "cache", "solutions")
 """Settings in which two invocations of one run may differ: they do not reach a row. (The source
 is known by its scenarios: the same files by another path are the same source.)"""
 
@@ -26,7 +27,7 @@ class RunConfig:
 
     Attributes:
         out: The run folder.
-        source: ``suite``, a scenario file or folder, or the URL of one.
+        source: Where the scenarios are, as ``dosplan.scenario.find_scenarios`` takes it.
         planner: Planner, as ``dosplan.registry`` finds it.
         predictor: Predictor, likewise.
         planner_options: Keyword arguments of the planner's constructor besides the seed: what
@@ -43,6 +44,7 @@ class RunConfig:
         ranked: Whether the run keeps the rules: a predictor that sees the future is refused.
         cluster: Dask scheduler (``tcp://host:port``) or ``local:N``; None drives on this machine.
         cache: Whether parsed scenarios are kept for the next run (``dosplan.scenario.cache``).
+        solutions: Whether the run folder gets CommonRoad solutions (``dosplan.solutions``).
     """
 
     out: Path
@@ -61,6 +63,7 @@ class RunConfig:
     ranked: bool = True
     cluster: str | None = None
     cache: bool = False
+    solutions: bool = False
 
     def __post_init__(self) -> None:
         if not self.arms or len(set(self.arms)) != len(self.arms):
@@ -77,6 +80,15 @@ class RunConfig:
             raise RunError(f"seed is {self.seed}; it must not be negative")
         for name in ("planner_options", "predictor_options"):
             object.__setattr__(self, name, _plain(getattr(self, name), name))
+
+
+def default_folder() -> Path:
+    """Where a run goes that names no folder.
+
+    Returns:
+        ``runs/<date and time>``.
+    """
+    return Path("runs") / f"{datetime.now():%Y-%m-%d-%H%M%S}"
 
 
 def _plain(options: Mapping[str, Any], where: str) -> dict[str, Any]:

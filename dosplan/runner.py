@@ -14,10 +14,10 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from itertools import product
-from typing import Any
+from typing import Any, Final
 
 from dosplan.api import OraclePredictor
-from dosplan.compare import compare_rows
+from dosplan.comparison import compare_rows
 from dosplan.episode import EpisodeResult
 from dosplan.executor import Executor, LocalExecutor, Task
 from dosplan.files import remove_half_written, write_bytes, write_json, write_text
@@ -35,11 +35,13 @@ from dosplan.results import (
 )
 from dosplan.run_config import FREE, RunConfig, RunError
 from dosplan.scenario import ScenarioRef, find_scenarios
+from dosplan.solutions import write_solutions
 from dosplan.types import Arm, Score
 
 __all__ = ["Progress", "RunConfig", "RunError", "run"]
 
 Progress = Callable[[int, int], None]
+_PARTS: Final = ("episodes", "solutions")
 
 
 def run(config: RunConfig, progress: Progress = lambda done, total: None) -> RunFolder:
@@ -75,6 +77,8 @@ def run(config: RunConfig, progress: Progress = lambda done, total: None) -> Run
         summary = _summary(folder, manifest, rows)
         write_json(folder.summary, summary)
         write_text(folder.summary_text, summary_markdown(summary))
+        if config.solutions:
+            write_solutions(folder, refs, config.arms)
     return folder
 
 
@@ -88,7 +92,7 @@ def _executor(config: RunConfig) -> Executor:
 
 def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> list[Task]:
     """Puts right what a run that was killed left in the folder; returns what is to be driven."""
-    for place in (folder.path, folder.path / "episodes"):
+    for place in (folder.path, *(folder.path / name for name in _PARTS)):
         remove_half_written(place)
     wanted = {(ref.id, arm) for ref, arm in tasks}
     kept = {
@@ -168,11 +172,12 @@ def _open_folder(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
     Returns:
         What its ``run.json`` holds.
     """
-    if (folder.path / "episodes").is_symlink():
-        raise RunError(
-            f"{folder.path / 'episodes'} is a link, and a run writes into its own folder only; "
-            "remove it or choose another --out"
-        )
+    for part in (folder.path / name for name in _PARTS):
+        if part.is_symlink():
+            raise RunError(
+                f"{part} is a link, and a run writes into its own folder only; "
+                "remove it or choose another --out"
+            )
     if folder.manifest.exists():
         old = read_manifest(folder)
         there, here = _identity(old), _identity(manifest)

@@ -40,6 +40,7 @@ is to blame for none.
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Final
 
 import numpy as np
@@ -51,6 +52,7 @@ from dosplan.comfort import comfort
 from dosplan.fault import BEHIND_ANGLE, STOPPED_VELOCITY, at_fault, classify
 from dosplan.geometry import wrap_angle
 from dosplan.goals import goal_reached
+from dosplan.telemetry import telemetry
 from dosplan.types import (
     EGO_HEADING,
     EGO_VELOCITY,
@@ -151,6 +153,7 @@ def score(scenario: Scenario, episode: Episode, vehicle: VehicleParameters) -> S
         cycle_ms_p99=slowest,
         fallback_cycles=sum(episode.plans[i].report.fallback is not None for i in cycles),
         error=episode.error if outcome is Outcome.PLANNER_FAILURE else None,
+        **asdict(telemetry([episode.plans[i].report for i in cycles])),
     )
 
 

@@ -20,6 +20,7 @@ from dosplan.types import (
     EGO_HEADING,
     EGO_SIZE,
     EGO_VELOCITY,
+    HISTORY_STEPS,
     USER_SIZE,
     Arm,
     Episode,
@@ -43,7 +44,7 @@ class SimulationConfig:
     """
 
     replan_every: int = 1
-    history: int = 31
+    history: int = HISTORY_STEPS
 
     def __post_init__(self) -> None:
         for name in ("replan_every", "history"):

@@ -46,6 +46,7 @@ USER_VELOCITY: Final = 3
 USER_SIZE: Final = 4
 
 STEP_SECONDS: Final = 0.1
+HISTORY_STEPS: Final = 31  # Steps that a predictor is shown, the present one included: 3 s.
 
 
 class ShapeError(ValueError):
@@ -252,8 +253,12 @@ class Route:
         path: (P, 2) reference path, m.
         heading: (P,) heading of the path, rad, continuous (unwrapped).
         curvature: (P,) signed curvature, 1/m, left positive.
-        left: (P,) lateral offset of the drivable area's left edge, m, >= 0.
-        right: (P,) lateral offset of its right edge, m, <= 0.
+        left: (P,) lateral offset of the left edge of the drivable area less lanes against the
+            path, m, >= 0.
+        right: (P,) the same of the right edge, m, <= 0.
+        outer_left: (P,) lateral offset of the drivable area's left edge, lanes against the path
+            included, m, >= 0.
+        outer_right: (P,) the same of its right edge, m, <= 0.
         speed_limit: (P,) m/s; infinite where the map names none.
     """
 
@@ -264,13 +269,15 @@ class Route:
     curvature: FloatArray
     left: FloatArray
     right: FloatArray
+    outer_left: FloatArray
+    outer_right: FloatArray
     speed_limit: FloatArray
 
     def __post_init__(self) -> None:
         _frozen(self, "arclength", np.float64, (None,), finite=True)
         p = len(self.arclength)
         _frozen(self, "path", np.float64, (p, 2), finite=True)
-        for field in ("heading", "curvature", "left", "right"):
+        for field in ("heading", "curvature", "left", "right", "outer_left", "outer_right"):
             _frozen(self, field, np.float64, (p,), finite=True)
         _frozen(self, "speed_limit", np.float64, (p,))
         if p < 2 or np.any(np.diff(self.arclength) <= 0):
@@ -459,6 +466,11 @@ class SolveStatus(Enum):
         self.word = word
         self.advice = advice
 
+    @property
+    def failed(self) -> bool:
+        """Whether the solver was asked for a plan and gave none."""
+        return self in (SolveStatus.MAX_ITERATIONS, SolveStatus.SOLVER_ERROR)
+
 
 @dataclass(frozen=True)
 class SolveReport:
@@ -471,6 +483,7 @@ class SolveReport:
         slack: Largest slack of a set constraint in the plan, in normalised set distance.
         active_ids: Ids of the road users whose sets touch the plan.
         fallback: Name of the fallback that was driven, or None.
+        road_slack: How far the plan leaves the road, by the planner's own reckoning, m.
     """
 
     status: SolveStatus = SolveStatus.NOT_OPTIMISED
@@ -479,6 +492,7 @@ class SolveReport:
     slack: float = 0.0
     active_ids: tuple[int, ...] = ()
     fallback: str | None = None
+    road_slack: float = 0.0
 
     def __post_init__(self) -> None:
         checks = (
@@ -492,6 +506,7 @@ class SolveReport:
                 "a tuple of integers",
             ),
             ("fallback", isinstance(self.fallback, str | None), "a name or None"),
+            ("road_slack", _finite(self.road_slack), "a finite number"),
         )
         for field, holds, wanted in checks:
             if not holds:
@@ -624,6 +639,15 @@ class Score:
         cycle_ms_p99: 99th percentile of it, ms.
         fallback_cycles: Cycles in which a fallback was driven.
         error: What went wrong in a planner failure, or None.
+
+    The solver's columns are None where no cycle ran, and in rows of versions without them:
+
+        iterations_p50: Median of the solver's iterations in a cycle.
+        iterations_max: The most of them in a cycle.
+        max_slack: Largest slack of a set constraint, in normalised set distance.
+        slack_cycles: Cycles whose plan enters a set (``dosplan.telemetry.SLACK_SEEN``).
+        max_road_slack: How far a plan leaves the road at most, m.
+        solver_failures: Cycles in which the solver gave no plan.
     """
 
     scenario: str
@@ -648,3 +672,9 @@ class Score:
     cycle_ms_p99: float | None
     fallback_cycles: int
     error: str | None
+    iterations_p50: float | None = None
+    iterations_max: int | None = None
+    max_slack: float | None = None
+    slack_cycles: int | None = None
+    max_road_slack: float | None = None
+    solver_failures: int | None = None

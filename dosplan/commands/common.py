@@ -13,6 +13,10 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
 PLUGIN_HELP: Final = "a name of `dosplan list`, module:Class or path/to/file.py:Class"
+SOURCE_HELP: Final = (
+    "where the scenarios are: suite, a CommonRoad file, a folder, a quoted glob, a .zip or .tar.*, "
+    "a URL, or @LIST, a text file of such paths and of ids"
+)
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from dosplan.commands import OK
 from dosplan.commands.common import add_json, show
@@ -20,6 +21,9 @@ class CompareCommand:
             parser: The subcommand's parser.
         """
         add_json(parser)
+        parser.add_argument(
+            "--html", type=Path, metavar="FILE", help="write a page, with a player, there"
+        )
         run = "a run folder, or RUN:with_dos or RUN:without_dos for one arm of it"
         parser.add_argument("run_a", metavar="RUN_A", help=run)
         parser.add_argument(
@@ -41,11 +45,15 @@ class CompareCommand:
         """
         from dataclasses import asdict
 
-        from dosplan.compare import compare_runs
+        from dosplan.comparison import compare_runs
         from dosplan.report.tables import comparison_tables
 
         specs = [spec for spec in (options.run_a, options.run_b) if spec is not None]
         comparisons = compare_runs(specs)
         figures = {"comparisons": [asdict(comparison) for comparison in comparisons]}
         show([comparison_tables(c) for c in comparisons], figures, options.json)
+        if options.html is not None:
+            from dosplan.report.html.write import write_comparison
+
+            print(f"page in {write_comparison(specs, options.html)}")
         return OK

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from dosplan.commands import FAILED, OK
-from dosplan.commands.common import add_json, add_seed, add_workers, console, show
+from dosplan.commands.common import SOURCE_HELP, add_json, add_seed, add_workers, console, show
 
 _EXAMPLES: Final = """\
 examples:
@@ -30,9 +30,7 @@ class EvaluateCommand:
         """
         parser.epilog = _EXAMPLES
         add_json(parser)
-        parser.add_argument(
-            "source", metavar="SUITE_OR_FOLDER", help="'suite', or a CommonRoad file or folder"
-        )
+        parser.add_argument("source", metavar="SOURCE", help=SOURCE_HELP)
         parser.add_argument(
             "--methods",
             type=Path,
@@ -51,7 +49,7 @@ class EvaluateCommand:
         )
         parser.add_argument(
             "--scale-on",
-            metavar="SUITE_OR_FOLDER",
+            metavar="SOURCE",
             help="recordings on which the sets of OSA@90 are scaled (default: those evaluated)",
         )
         parser.add_argument(

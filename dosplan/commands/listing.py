@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from dosplan.commands import OK
-from dosplan.commands.common import add_json, show
+from dosplan.commands.common import SOURCE_HELP, add_json, show
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -35,7 +35,7 @@ class ListCommand:
             nargs="?",
             default="suite",
             metavar="SOURCE",
-            help="for scenarios: 'suite' (default), or a file or folder",
+            help=f"for scenarios: {SOURCE_HELP} (default: %(default)s)",
         )
 
     def run(self, options: argparse.Namespace) -> int:

@@ -5,18 +5,26 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
 from dosplan.commands import FAILED, INTERRUPTED, OK
-from dosplan.commands.common import PLUGIN_HELP, add_json, add_seed, add_workers, console, show
+from dosplan.commands.common import (
+    PLUGIN_HELP,
+    SOURCE_HELP,
+    add_json,
+    add_seed,
+    add_workers,
+    console,
+    show,
+)
 
 _EXAMPLES: Final = """\
 examples:
   dosplan run                                    the suite, both arms, the built-in plug-ins
   dosplan run --planner idm --limit 10           another planner, the first ten scenarios
   dosplan run my/scenarios --planner mine.py:MyPlanner --with-dos
+  dosplan run scenarios.zip --solutions          a CommonRoad solution for each drive, too
   dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
   dosplan run --predictor ground-truth --unranked
 """
@@ -59,11 +67,12 @@ class RunCommand:
         from dosplan.report.progress import show_progress
         from dosplan.report.tables import error_lines, summary_tables
         from dosplan.results import read_rows
+        from dosplan.run_config import default_folder
         from dosplan.runner import RunConfig, run
         from dosplan.types import Arm
 
         config = RunConfig(
-            out=options.out or Path("runs") / f"{datetime.now():%Y-%m-%d-%H%M%S}",
+            out=options.out or default_folder(),
             source=options.source,
             planner=options.planner,
             predictor=options.predictor,
@@ -79,6 +88,7 @@ class RunCommand:
             ranked=not options.unranked,
             cluster=options.cluster,
             cache=not options.no_cache,
+            solutions=options.solutions,
         )
         try:
             with show_progress(console(stderr=True)) as progress:
@@ -88,11 +98,23 @@ class RunCommand:
             print(f"dosplan: interrupted; {hint}", file=sys.stderr)
             return INTERRUPTED
         summary = read_json(folder.summary)
-        show([summary_tables(summary), f"results in {folder.path}"], summary, options.json)
+        report = _report_line(folder.path)
+        show([summary_tables(summary), f"results in {folder.path}", report], summary, options.json)
         for line in error_lines(read_rows(folder.rows)):
             print(line, file=sys.stderr)
         failures = any(summary[arm.value]["planner_failure_rate"] > 0 for arm in config.arms)
         return FAILED if failures else OK
+
+
+def _report_line(folder: Path) -> str:
+    """Writes the report, and says where it is; a report that fails does not fail the run."""
+    try:
+        from dosplan.report.html.write import write_report
+
+        return f"report in {write_report(folder)}"
+    except Exception as error:  # Whatever it is: the run itself is complete and written.
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        return f"no report ({reason}); to try again: dosplan report {shlex.quote(str(folder))}"
 
 
 def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
@@ -100,8 +122,8 @@ def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
         "source",
         nargs="?",
         default="suite",
-        metavar="SUITE_OR_FOLDER",
-        help="'suite' (default), or a CommonRoad file or folder",
+        metavar="SOURCE",
+        help=f"{SOURCE_HELP} (default: %(default)s)",
     )
     arms = parser.add_mutually_exclusive_group()
     arms.add_argument(
@@ -137,6 +159,11 @@ def _add_how_to_drive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--limit", type=int, metavar="N", help="drive the first N scenarios only")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="run folder (default: runs/<date and time>)"
+    )
+    parser.add_argument(
+        "--solutions",
+        action="store_true",
+        help="write what was driven as CommonRoad solutions, too: DIR/solutions/*.xml",
     )
     add_seed(parser)
     parser.add_argument(

@@ -23,10 +23,11 @@ from dosplan.evaluation.methods import Method, build, check_labels
 from dosplan.evaluation.metrics import COVERAGE
 from dosplan.evaluation.samples import FileSamples, PredictionError, sample_file
 from dosplan.evaluation.summary import scales, summarise
-from dosplan.evaluation.windows import HISTORY, HORIZONS
+from dosplan.evaluation.windows import HORIZONS
 from dosplan.provenance import describe_environment
 from dosplan.registry import one_line
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
+from dosplan.types import HISTORY_STEPS
 from dosplan.workers import cause_of_death, seed_globals, worker_pool
 
 Progress = Callable[[int, int], None]
@@ -41,7 +42,7 @@ class EvaluationConfig:
     """What is evaluated; two evaluations of one configuration have the same figures.
 
     Attributes:
-        source: ``suite``, or a scenario file or folder.
+        source: Where the recordings are, as ``dosplan.scenario.find_scenarios`` takes it.
         methods: The methods.
         every: Steps between two observations of a recording.
         scale_on: Recordings on which the sets of OSA@90 are scaled; None scales them on
@@ -112,7 +113,7 @@ def evaluate(
             "failed": failed,
             "windows": sum(len(s.kind) for s in samples),
             "every": config.every,
-            "history": HISTORY,
+            "history": HISTORY_STEPS,
             "horizons_s": list(HORIZONS),
             "scaled_on": config.source if config.scale_on is None else config.scale_on,
             "scaled_on_itself": config.scale_on is None,

@@ -15,6 +15,7 @@ import numpy as np
 from dosplan.evaluation.groups import KINDS
 from dosplan.simulation import observe
 from dosplan.types import (
+    HISTORY_STEPS,
     STEP_SECONDS,
     USER_SIZE,
     BoolArray,
@@ -24,7 +25,6 @@ from dosplan.types import (
     Scenario,
 )
 
-HISTORY: Final = 31  # Steps that a predictor is shown, the present one included.
 STEPS: Final = 40  # Steps of the future that count: 4 s.
 HORIZONS: Final = (1.0, 2.0, 3.0, 4.0)  # s; where CR and OSA are given.
 HORIZON_COLUMNS: Final = tuple(round(t / STEP_SECONDS) - 1 for t in HORIZONS)
@@ -74,7 +74,7 @@ def moments(scenario: Scenario, every: int) -> Iterator[Moment]:
         recorded = recorded[rows]
         truth[~recorded] = np.nan
         yield Moment(
-            observation=observe(scenario, step, scenario.task.start[None], HISTORY),
+            observation=observe(scenario, step, scenario.task.start[None], HISTORY_STEPS),
             rows=rows,
             truth=truth,
             recorded=recorded,

@@ -18,11 +18,15 @@ from dosplan.api import Planner, Predictor
 from dosplan.conformance import Report, check_planner, check_predictor
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
 from dosplan.vehicle import VehicleParameters
+from tests.peers import skip_where_missing
 
 
 def installed(kind: str) -> list[Any]:
     offers = entry_points(group=f"dosplan.{kind}")
-    return [pytest.param(offer, id=offer.name) for offer in sorted(offers)]
+    return [
+        pytest.param(offer, id=offer.name, marks=skip_where_missing(offer.name))
+        for offer in sorted(offers)
+    ]
 
 
 @pytest.mark.parametrize("offer", installed("planners"))

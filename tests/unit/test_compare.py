@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import bootstrap
 
-from dosplan.compare import Change, CompareError, compare_rows, compare_runs
+from dosplan.comparison import Change, CompareError, compare_rows, compare_runs
 from dosplan.files import write_json
 from dosplan.results import write_rows
 from dosplan.scoring import failed_score

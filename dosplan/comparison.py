@@ -164,35 +164,63 @@ def compare_runs(specs: Sequence[str]) -> list[Comparison]:
         CompareError: The sides do not match.
         FileError: A folder is not that of a finished run.
     """
-    sides = [_read_side(spec) for spec in specs]
-    if len(sides) == 1:
-        (arms,) = sides
-        if len(arms) < len(Arm):
-            raise CompareError(f"{specs[0]} holds one arm: name a second run to compare it with")
-        pairs = [(arms[Arm.WITHOUT_DOS], arms[Arm.WITH_DOS])]
-    else:
-        first, second = sides
-        pairs = [(first[arm], second[arm]) for arm in Arm if arm in first and arm in second]
-        if len(first) == len(second) == 1:
-            pairs = list(zip(first.values(), second.values(), strict=True))
+    pairs = paired_sides(specs)
     return [compare_rows(a.rows, b.rows, a.name, b.name) for a, b in pairs]
 
 
 @dataclass(frozen=True)
-class _Side:
-    name: str
+class Side:
+    """One arm of a run.
+
+    Attributes:
+        path: The run folder.
+        arm: The arm.
+        rows: Its rows.
+    """
+
+    path: Path
+    arm: Arm
     rows: tuple[Score, ...]
 
+    @property
+    def name(self) -> str:
+        """What it is called: ``RUN:arm``."""
+        return f"{self.path}:{self.arm.value}"
 
-def _read_side(spec: str) -> dict[Arm, _Side]:
-    """Reads ``RUN`` or ``RUN:arm``: the rows of each arm that is asked for."""
+
+def paired_sides(specs: Sequence[str]) -> list[tuple[Side, Side]]:
+    """Finds what ``compare_runs`` compares.
+
+    Args:
+        specs: As for ``compare_runs``.
+
+    Returns:
+        Sides A and B of each comparison.
+
+    Raises:
+        CompareError: The sides do not match.
+        FileError: A folder is not that of a finished run.
+    """
+    sides = [_read_sides(spec) for spec in specs]
+    if len(sides) == 1:
+        (arms,) = sides
+        if len(arms) < len(Arm):
+            raise CompareError(f"{specs[0]} holds one arm: name a second run to compare it with")
+        return [(arms[Arm.WITHOUT_DOS], arms[Arm.WITH_DOS])]
+    first, second = sides
+    if len(first) == len(second) == 1:
+        return list(zip(first.values(), second.values(), strict=True))
+    return [(first[arm], second[arm]) for arm in Arm if arm in first and arm in second]
+
+
+def _read_sides(spec: str) -> dict[Arm, Side]:
+    """Reads ``RUN`` or ``RUN:arm``: each arm that is asked for."""
     folder, _, wanted = spec.rpartition(":")
     named = [arm for arm in Arm if folder and arm.value == wanted]
     path = Path(folder if named else spec)
     _, rows = read_run(path)
     arms = {
-        arm: _Side(f"{path}:{arm.value}", tuple(row for row in rows if row.arm is arm))
-        for arm in named or Arm
+        arm: Side(path, arm, tuple(row for row in rows if row.arm is arm)) for arm in named or Arm
     }
     held = {arm: side for arm, side in arms.items() if side.rows}
     if not held:

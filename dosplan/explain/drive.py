@@ -1,0 +1,57 @@
+"""The drive that is explained: what was recorded of it beside what was scored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dosplan.recording import Recording
+from dosplan.types import EGO_VELOCITY, FloatArray, Outcome, Scenario, Score
+from dosplan.vehicle import VehicleParameters
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One episode, as far as it was scored.
+
+    Attributes:
+        scenario: What was driven, the recorded future included.
+        row: Its row.
+        recording: Its file.
+        vehicle: The ego.
+    """
+
+    scenario: Scenario
+    row: Score
+    recording: Recording
+    vehicle: VehicleParameters
+
+    @cached_property
+    def states(self) -> FloatArray:
+        """(K + 1, 5) ego states of the drive that was scored."""
+        return self.recording.states[: self.row.steps + 1]
+
+    @cached_property
+    def ego(self) -> FloatArray:
+        """(K + 1, 4) x, y, heading, velocity of the ego's centre."""
+        return np.column_stack([self.vehicle.poses(self.states), self.states[:, EGO_VELOCITY]])
+
+    @property
+    def start(self) -> int:
+        """Step of the first state."""
+        return self.recording.start_step
+
+    @property
+    def decisive_step(self) -> int:
+        """The step that decided the outcome: of the contact, off the road, or the last one."""
+        decided = {
+            Outcome.COLLISION: self.row.collision_step,
+            Outcome.OUT_OF_BOUNDS: self.row.out_of_bounds_step,
+        }.get(self.row.outcome)
+        return self.start + self.row.steps if decided is None else decided
+
+    def seconds(self, step: int) -> float:
+        """Time of a step since the start, s."""
+        return (step - self.start) * self.scenario.dt

@@ -1,0 +1,195 @@
+"""Reads an episode of a run folder and puts together why it ended as it did."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+
+from dosplan.explain.collision import CollisionFacts, collision_facts
+from dosplan.explain.drive import Drive
+from dosplan.explain.goal import GoalFacts, goal_facts
+from dosplan.explain.margins import Margins, margins
+from dosplan.explain.planning import PlanningFacts, planning_facts
+from dosplan.explain.road import RoadFacts, road_facts
+from dosplan.files import FileError
+from dosplan.recording import Recording, load_recording
+from dosplan.results import RunFolder, read_manifest, read_rows
+from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
+from dosplan.types import Arm, Outcome, Scenario, Score
+from dosplan.vehicle import VehicleParameters
+
+_SAME_START = 1e-6  # How far the start of the same file may be off by rounding.
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Why one episode ended as it did; what does not belong to its outcome is None or empty.
+
+    Attributes:
+        scenario: Id of the scenario.
+        arm: The arm.
+        outcome: What became of it.
+        step: The step that decided it; None where the episode never began.
+        seconds: That step since the start, s.
+        min_time_to_collision: The row's, s.
+        collision: The collision.
+        out_of_bounds: Where the ego left the road, also before a collision.
+        goals: How each alternative goal was missed.
+        margins: What was left in a success.
+        planning: The planner's last cycles before that step.
+        error: What went wrong in a planner failure.
+        traceback: File of the traceback, relative to the run folder.
+    """
+
+    scenario: str
+    arm: Arm
+    outcome: Outcome
+    step: int | None = None
+    seconds: float | None = None
+    min_time_to_collision: float | None = None
+    collision: CollisionFacts | None = None
+    out_of_bounds: RoadFacts | None = None
+    goals: tuple[GoalFacts, ...] = ()
+    margins: Margins | None = None
+    planning: PlanningFacts | None = None
+    error: str | None = None
+    traceback: str | None = None
+
+    def lines(self) -> list[str]:
+        """The explanation in plain words: a heading, then indented lines."""
+        when = "before the first step"
+        if self.step is not None:
+            when = f"at step {self.step}, {self.seconds:.1f} s after the start"
+        body = [] if self.error is None else [self.error]
+        if self.traceback is not None:
+            body.append(f"the traceback is in {self.traceback}")
+        for part in (self.collision, self.out_of_bounds, *self.goals, self.margins, self.planning):
+            body += [] if part is None else part.lines()
+        if self.min_time_to_collision is not None:
+            body.append(f"smallest time to collision: {self.min_time_to_collision:.2f} s")
+        title = f"{self.scenario}, {self.arm}: {self.outcome} {when}"
+        return [title, *(f"  {line}" for line in body)]
+
+
+def explain(
+    path: Path, scenario: str, arms: Sequence[Arm] = tuple(Arm), source: str | None = None
+) -> list[Explanation]:
+    """Explains the episodes of a scenario in a run; the run may still be going on.
+
+    Args:
+        path: The run folder.
+        scenario: Id of the scenario.
+        arms: Arms that are wanted; those that the run does not drive are left out.
+        source: Where the scenarios lie now; where the run found them if None.
+
+    Returns:
+        One explanation for each arm.
+
+    Raises:
+        FileError: The folder holds no such episode, or not the one of this scenario file.
+        ScenarioError: The scenario cannot be found or read.
+    """
+    folder = RunFolder(path)
+    if not folder.manifest.is_file():
+        raise FileError(f"{path} is not a run folder: it has no run.json")
+    manifest = read_manifest(folder)
+    if scenario not in manifest["scenarios"]:
+        near = get_close_matches(scenario, manifest["scenarios"], n=3)
+        hint = f"; it has {', '.join(near)}" if near else ""
+        raise FileError(f"{path} holds no scenario {scenario}{hint}")
+    rows = [row for row in read_rows(folder.rows) if row.scenario == scenario and row.arm in arms]
+    if not rows:
+        raise FileError(f"{path} holds no finished episode of {scenario} in {' or '.join(arms)}")
+    recordings = [_recording(folder, row) for row in rows]
+    loaded: Scenario | None = None
+    if any(recording is not None for recording in recordings):
+        loaded = load_scenario(_find(scenario, source or manifest["config"].get("source", "")))
+    return [
+        _failure(folder, row)
+        if recording is None or loaded is None
+        else explain_episode(loaded, row, recording, traceback=_traceback(folder, row))
+        for row, recording in zip(rows, recordings, strict=True)
+    ]
+
+
+def explain_episode(
+    scenario: Scenario,
+    row: Score,
+    recording: Recording,
+    vehicle: VehicleParameters = VehicleParameters(),  # noqa: B008 - frozen
+    traceback: str | None = None,
+) -> Explanation:
+    """Explains an episode.
+
+    Args:
+        scenario: What was driven.
+        row: Its row.
+        recording: Its file.
+        vehicle: The ego.
+        traceback: File of its traceback, where it has one.
+
+    Returns:
+        The explanation.
+
+    Raises:
+        FileError: The episode was not driven in this scenario.
+    """
+    start = scenario.task.start
+    if not np.allclose(recording.states[0], start, rtol=0.0, atol=_SAME_START):
+        raise FileError(
+            f"{row.scenario} is not the scenario that the run drove: its ego starts elsewhere; "
+            "name the right one with --source"
+        )
+    drive = Drive(scenario, row, recording, vehicle)
+    collided, off_road, reached = row.collision_step, row.out_of_bounds_step, row.goal_step
+    return Explanation(
+        scenario=row.scenario,
+        arm=row.arm,
+        outcome=row.outcome,
+        step=drive.decisive_step,
+        seconds=drive.seconds(drive.decisive_step),
+        min_time_to_collision=row.min_time_to_collision,
+        collision=None if collided is None else collision_facts(drive, collided),
+        out_of_bounds=None if off_road is None else road_facts(drive, off_road),
+        goals=goal_facts(drive) if row.outcome is Outcome.GOAL_MISSED else (),
+        margins=margins(drive, reached)
+        if row.outcome is Outcome.SUCCESS and reached is not None
+        else None,
+        planning=planning_facts(drive),
+        error=row.error,
+        traceback=traceback,
+    )
+
+
+def _recording(folder: RunFolder, row: Score) -> Recording | None:
+    """An episode's file; None where it failed before there was anything to write."""
+    path = folder.recording(row.scenario, row.arm)
+    if row.outcome is Outcome.PLANNER_FAILURE and not path.exists():
+        return None
+    return load_recording(path)
+
+
+def _failure(folder: RunFolder, row: Score) -> Explanation:
+    return Explanation(
+        scenario=row.scenario,
+        arm=row.arm,
+        outcome=row.outcome,
+        error=row.error,
+        traceback=_traceback(folder, row),
+    )
+
+
+def _traceback(folder: RunFolder, row: Score) -> str | None:
+    path = folder.traceback(row.scenario, row.arm)
+    return path.relative_to(folder.path).as_posix() if path.exists() else None
+
+
+def _find(scenario: str, source: str) -> ScenarioRef:
+    for ref in find_scenarios(source):
+        if ref.id == scenario:
+            return ref
+    raise FileError(f"{source} holds no scenario {scenario}; name its place with --source")

@@ -1,0 +1,140 @@
+"""A goal that was missed: which of its conditions failed, and by how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from dosplan.explain.drive import Drive
+from dosplan.goals import TOLERANCE, GoalMiss, goal_miss
+from dosplan.types import USER_HEADING, USER_VELOCITY, GoalState
+
+_DEGREE: Final = np.pi / 180.0
+
+
+@dataclass(frozen=True)
+class GoalFacts:
+    """One of the alternative goals at the step of the drive that came nearest to it.
+
+    Nearest is by the distance to its region, then by the time outside its window, then by how far
+    heading and velocity are off together, a degree counting as much as 0.1 m/s.
+
+    Attributes:
+        goal: Which of the alternatives, from 1.
+        failed: The conditions that failed there: ``position``, or ``time``, or ``heading`` and
+            ``velocity``; the later ones are looked at where the earlier hold.
+        seconds: Time of that step since the start, s.
+        at_end: Whether it is the last step of the drive.
+        distance: From the ego's centre to the region, m.
+        late: Seconds after the goal's window; negative before it.
+        heading_off: Turn beyond the heading's interval, rad, counter-clockwise positive.
+        velocity: Of the ego, m/s.
+        velocity_off: Beyond the velocity's interval, m/s; negative where too slow.
+        window: First and last time at which the goal counts, s since the start.
+        velocity_window: m/s, or None where the goal sets none.
+    """
+
+    goal: int
+    failed: tuple[str, ...]
+    seconds: float
+    at_end: bool
+    distance: float
+    late: float
+    heading_off: float
+    velocity: float
+    velocity_off: float
+    window: tuple[float, float]
+    velocity_window: tuple[float, float] | None
+
+    def lines(self) -> list[str]:
+        """What failed, in plain words."""
+        told = {
+            "position": self._position,
+            "time": self._time,
+            "heading": self._heading,
+            "velocity": self._velocity,
+        }
+        return [f"goal {self.goal}: {told[name]()}" for name in self.failed]
+
+    def _position(self) -> str:
+        when = ", at the last step" if self.at_end else ""
+        return (
+            f"position never reached: closest {self.distance:.2f} m, {self.seconds:.1f} s after "
+            f"the start{when}, driving {self.velocity:.1f} m/s"
+        )
+
+    def _time(self) -> str:
+        first, last = self.window
+        side = "late" if self.late > 0.0 else "early"
+        return (
+            f"in place {self.seconds:.1f} s after the start at best, {abs(self.late):.1f} s too "
+            f"{side}: it counts from {first:.1f} s to {last:.1f} s"
+        )
+
+    def _heading(self) -> str:
+        side = "left" if self.heading_off > 0.0 else "right"
+        return (
+            f"in place and time, but the heading is {abs(self.heading_off) / _DEGREE:.1f} degrees "
+            f"too far to the {side} at best, {self.seconds:.1f} s after the start"
+        )
+
+    def _velocity(self) -> str:
+        side = "fast" if self.velocity_off > 0.0 else "slow"
+        low, high = self.velocity_window or (-np.inf, np.inf)
+        return (
+            f"in place and time, but {abs(self.velocity_off):.2f} m/s too {side} at best: "
+            f"{self.velocity:.2f} m/s, wanted {low:.2f} to {high:.2f}, {self.seconds:.1f} s after "
+            "the start"
+        )
+
+
+def goal_facts(drive: Drive) -> tuple[GoalFacts, ...]:
+    """Measures by how much each alternative goal was missed.
+
+    Args:
+        drive: A drive that reached none.
+
+    Returns:
+        The facts of each goal.
+    """
+    goals = enumerate(drive.scenario.task.goals, start=1)
+    return tuple(_facts(drive, number, goal) for number, goal in goals)
+
+
+def _facts(drive: Drive, number: int, goal: GoalState) -> GoalFacts:
+    dt, ego = drive.scenario.dt, drive.ego
+    misses = [
+        goal_miss(goal, step, row[:2], float(row[USER_HEADING]), float(row[USER_VELOCITY]))
+        for step, row in enumerate(ego, drive.start)
+    ]
+    best = min(range(len(misses)), key=lambda i: _rank(misses[i]))
+    miss = misses[best]
+    return GoalFacts(
+        goal=number,
+        failed=_failed(miss),
+        seconds=best * dt,
+        at_end=best == len(ego) - 1,
+        distance=miss.distance,
+        late=miss.steps * dt,
+        heading_off=miss.heading,
+        velocity=float(ego[best, USER_VELOCITY]),
+        velocity_off=miss.velocity,
+        window=(drive.seconds(goal.first_step), drive.seconds(goal.last_step)),
+        velocity_window=goal.velocity,
+    )
+
+
+def _rank(miss: GoalMiss) -> tuple[float, int, float]:
+    off = abs(miss.heading) / _DEGREE + 10.0 * abs(miss.velocity)
+    return miss.distance if miss.distance > TOLERANCE else 0.0, abs(miss.steps), off
+
+
+def _failed(miss: GoalMiss) -> tuple[str, ...]:
+    if miss.distance > TOLERANCE:
+        return ("position",)
+    if miss.steps:
+        return ("time",)
+    parts = {"heading": miss.heading, "velocity": miss.velocity}
+    return tuple(name for name, off in parts.items() if abs(off) > TOLERANCE)

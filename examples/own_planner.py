@@ -1,0 +1,34 @@
+"""A planner of your own beside a built-in one, on the first scenarios of the suite."""
+
+import numpy as np
+
+import dosplan
+from dosplan.api import Planner
+from dosplan.types import Observation, Occupancy, Plan
+from dosplan.vehicle import VehicleParameters
+
+
+class Coast(Planner):
+    """Rolls on and brakes for whoever is predicted within ten metres."""
+
+    name = "coast-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        vehicle = VehicleParameters()
+        gap = occupancy.centre[:, :10] - vehicle.centre(observation.ego)
+        near = occupancy.valid[:, :10] & (np.hypot(gap[..., 0], gap[..., 1]) < 10.0)
+        wish = np.array([0.0, -4.0 if near.any() else 0.0])
+        states, inputs = [observation.ego], []
+        for _ in range(20):
+            inputs.append(vehicle.clip_input(states[-1], wish, observation.dt))
+            states.append(vehicle.step(states[-1], inputs[-1], observation.dt))
+        return Plan(states=np.array(states), inputs=np.array(inputs))
+
+
+if __name__ == "__main__":
+    idm = dosplan.run_suite("suite", "idm", "growing-circle", limit=3, out="runs/idm")
+    coast = dosplan.run_suite("suite", Coast, "growing-circle", limit=3, out="runs/coast")
+    for row in coast.rows:
+        print(f"{row.scenario:24} {row.arm:12} {row.outcome:14} {row.velocity:5.1f} m/s")
+    for c in dosplan.compare(idm, coast):
+        print(f"{c.b} against {c.a}: success {c.success.difference:+.0%} in {c.n} scenarios")

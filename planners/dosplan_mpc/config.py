@@ -66,7 +66,7 @@ class MpcConfig:
     far_penalty: float = 0.1
     road_penalty: float = 1000.0
     clearance: float = 0.15
-    road_margin: float = 0.1
+    road_margin: float = 0.05
     calm: Style = Style(lateral=4.0, longitudinal=2.5)
     hurried: Style = Style(lateral=7.0, longitudinal=5.0)
     utmost: Style = Style(lateral=9.0, longitudinal=8.0)

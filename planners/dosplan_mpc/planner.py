@@ -64,7 +64,7 @@ class _Memory:
 class MpcPlanner(Planner):
     """Model-predictive control that keeps out of occupancy sets."""
 
-    name: ClassVar[str] = "mpc-v1"
+    name: ClassVar[str] = "mpc-v2"
 
     def __init__(self, *, seed: int = 0, config: MpcConfig | None = None) -> None:
         """Keeps the settings; the problem itself is built at the first episode.

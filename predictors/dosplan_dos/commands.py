@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dosplan.commands import CommandError
+from dosplan.commands.common import SOURCE_HELP
 
 SET_EVERY: Final = 2
 
@@ -24,7 +25,7 @@ class DataCommand:
             parser: The subcommand's parser.
         """
         parser.add_argument("action", choices=("build",), help="make a cache")
-        parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="recordings")
+        parser.add_argument("sources", nargs="+", metavar="SOURCE", help=SOURCE_HELP)
         parser.add_argument("--out", type=Path, required=True, metavar="CACHE", help="the cache")
         parser.add_argument(
             "--every",
@@ -59,7 +60,7 @@ class DataCommand:
         try:
             with show_progress(Console(stderr=True), "recordings") as progress:
                 report = build_cache(
-                    options.folders,
+                    options.sources,
                     options.out,
                     every=options.every,
                     workers=options.workers,

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from dosplan.evaluation.groups import MOVING
 from dosplan_net.cache import WindowCache
 from dosplan_net.features import HISTORY
-from dosplan_net.network import MapEncoder, Scene
+from dosplan_net.network import Scene
 
 STARTING = 1.0  # m that one must move for a window of a standing road user to teach something.
 
@@ -65,7 +65,7 @@ class RawBatch:
     future: Tensor
     future_valid: Tensor
 
-    def scene(self, encoder: MapEncoder, targets: Tensor) -> Scene:
+    def scene(self, encoder: nn.Module, targets: Tensor) -> Scene:
         """What the network takes, with the map read by ``encoder``, for some of the windows."""
         return Scene(
             pose=self.pose,

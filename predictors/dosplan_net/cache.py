@@ -1,4 +1,4 @@
-"""A memory-mapped cache of training windows, made from folders of scenarios.
+"""A memory-mapped cache of training windows, made from recorded scenarios.
 
 A cache is a folder: ``cache.json`` (what it holds, what was left out and why) and one ``.npy``
 file for each array of ``WindowCache``. Every recording is first written to a file of its own
@@ -158,17 +158,17 @@ class BuildReport:
 
 
 def build_cache(
-    folders: Iterable[Path],
+    sources: Iterable[str | Path],
     out: Path,
     *,
     every: int = 2,
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> BuildReport:
-    """Extracts the windows of every recording in some folders.
+    """Extracts the windows of every recording of some sources.
 
     Args:
-        folders: Folders of scenarios.
+        sources: Where the recordings are, as ``dosplan.scenario.find_scenarios`` takes it.
         out: The cache to make; what an interrupted build left there is used.
         every: Steps between two scenes of a recording.
         workers: Processes.
@@ -181,7 +181,7 @@ def build_cache(
         CacheError: Nothing could be extracted, or ``out`` cannot be written.
     """
     # One planning problem per recording is enough: the road users are the same.
-    refs = list({ref.path: ref for f in folders for ref in reversed(find_scenarios(f))}.values())
+    refs = list({ref.path: ref for s in sources for ref in reversed(find_scenarios(s))}.values())
     refs.sort(key=lambda ref: ref.path.name)
     try:
         (out / "shards").mkdir(parents=True, exist_ok=True)

@@ -104,7 +104,9 @@ class SceneGraph(Graph):
             torch.arange(3),
             torch.zeros(3, NEIGHBOURS, dtype=torch.int64),
             torch.zeros(3, PIECES, dtype=torch.int64),
-            torch.zeros(7, self.network.config.map),
+            self.network.map_encoder(
+                torch.zeros(7, PIECE_POINTS, PIECE_CHANNELS), torch.zeros(7, PIECE_ATTRIBUTES)
+            ),
             torch.zeros(7, 3),
         )
 

@@ -33,6 +33,7 @@ RELATION_SIZE: Final = 7  # x, y, distance, cos and sin of the heading, velocity
 PIECE_RELATION_SIZE: Final = 5  # x, y, distance, cos and sin of the heading
 DISTANCE_UNIT: Final = 20.0  # m
 VELOCITY_UNIT: Final = 10.0  # m/s
+MAP_ENCODERS: Final = ("polylines", "raster")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,7 @@ class NetworkConfig:
         dropout: Share of the features that training switches off.
         use_map: Whether the map is looked at.
         use_neighbours: Whether the others are looked at.
+        map_encoder: How the map is read: ``polylines``, or as a ``raster``; see ``raster``.
     """
 
     history: int = 96
@@ -58,6 +60,13 @@ class NetworkConfig:
     dropout: float = 0.1
     use_map: bool = True
     use_neighbours: bool = True
+    map_encoder: str = "polylines"
+
+    def __post_init__(self) -> None:
+        if self.map_encoder not in MAP_ENCODERS:
+            raise ValueError(
+                f"there is no map encoder {self.map_encoder!r}; choose {' or '.join(MAP_ENCODERS)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -142,12 +151,12 @@ class TrajectoryNetwork(nn.Module):
     def __init__(self, config: NetworkConfig = NetworkConfig()) -> None:
         super().__init__()
         self.config = c = config
-        self.map_encoder = MapEncoder(c.map)
+        self.map_encoder: nn.Module = MapEncoder(c.map)
         self.step = nn.Conv1d(HISTORY_SIZE + 2, 48, 3, stride=2, padding=1)
         self.time = nn.GRU(48, c.history, batch_first=True)
         self.static = nn.Linear(STATIC_SIZE + 1, 32)
         seen = c.history + 32
-        self.road = Attention(seen, c.map, PIECE_RELATION_SIZE, c.map, c.heads)
+        self.road: nn.Module = Attention(seen, c.map, PIECE_RELATION_SIZE, c.map, c.heads)
         self.located = nn.Linear(seen + 2 * c.map, c.hidden)
         self.interaction = Attention(c.hidden, seen, RELATION_SIZE, c.map, c.heads)
         self.fused = nn.Linear(c.hidden + 2 * c.map, c.hidden)

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +24,15 @@ from dosplan_net.cache import WindowCache
 from dosplan_net.features import HORIZON
 from dosplan_net.network import NetworkConfig, TrajectoryNetwork
 from dosplan_net.optimise import FitSettings, fit
+from dosplan_net.raster import RasterNetwork
 from dosplan_net.weights import WeightsError, load_model, load_weights, save_weights
 
 MODEL = "trajectory-network"
 NET = "net"
+_NETWORKS: Final[dict[str, type[TrajectoryNetwork]]] = {
+    "polylines": TrajectoryNetwork,
+    "raster": RasterNetwork,
+}
 
 
 @dataclass(frozen=True)
@@ -99,7 +105,7 @@ def train_stage(
         for cache, fold in zip(opened, folds, strict=True)
     ]
     torch.manual_seed(config.fit.seed * 7919 + own)
-    network = TrajectoryNetwork(config.network)
+    network = build_network(config.network)
     source = _Source(opened, scenes, config)
     held_out = WindowCache.open(validation)
     figures = fit(
@@ -196,9 +202,19 @@ def load_network(path: Path) -> TrajectoryNetwork:
     Raises:
         WeightsError: The file is not such weights.
     """
-    return load_model(
-        path, MODEL, lambda about: TrajectoryNetwork(NetworkConfig(**about["network"]))
-    )
+    return load_model(path, MODEL, lambda about: build_network(NetworkConfig(**about["network"])))
+
+
+def build_network(config: NetworkConfig) -> TrajectoryNetwork:
+    """Builds an untrained network.
+
+    Args:
+        config: Its sizes and its map encoder.
+
+    Returns:
+        The network.
+    """
+    return _NETWORKS[config.map_encoder](config)
 
 
 def run_over(

@@ -17,13 +17,11 @@ import numpy as np
 from dosplan.api import OraclePredictor, Predictor
 from dosplan.registry import find_predictor
 from dosplan.simulation import observe
-from dosplan.types import Observation, Scenario
+from dosplan.types import HISTORY_STEPS, Observation, Scenario
 from dosplan_simple.predictors import (
     GroundTruthPredictor,
 )
 from dosplan_simple.sets import ErrorTable
-
-HISTORY = 31  # Steps that a predictor is shown.
 
 
 def measure(
@@ -50,7 +48,7 @@ def measure(
         truth.reveal(scenario.tracks)
         predictor.reset(scenario.task, scenario.road_map)
         for step in range(0, scenario.tracks.steps, every):
-            observation = observe(scenario, step, scenario.task.start[None], HISTORY)
+            observation = observe(scenario, step, scenario.task.start[None], HISTORY_STEPS)
             errors = _errors(observation, predictor, truth)
             total += np.nansum(errors, axis=0)
             count += np.sum(np.isfinite(errors), axis=0)

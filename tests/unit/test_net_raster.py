@@ -22,7 +22,7 @@ RASTER = replace(TINY, map_encoder="raster")
 
 
 def straight_piece(length: float) -> Tensor:
-    """(1, width) one straight piece, 4 m wide, for cars, as it is kept."""
+    """(1, 35) one straight piece, 4 m wide, for cars, as it is kept."""
     shape = torch.zeros(1, PIECE_POINTS, 3)
     shape[0, :, 0] = torch.linspace(-length / 2, length / 2, PIECE_POINTS)
     shape[0, :, 2] = 2.0

@@ -165,13 +165,13 @@ def test_what_was_foreseen_comes_back_until_the_next_episode() -> None:
     scenario, ramp = straight_scenario(), Ramp()
     for _ in range(2):
         ramp.reset(scenario.task, scenario.road_map, VEHICLE)
-        for step, x in ((0, 0.0), (2, 2.04), (3, 1.06), (9, 3.0)):  # Foreseen: 2, 1 and the end, 3.
+        for step, x in ((0, 0.0), (2, 2.008), (3, 1.012), (9, 3.0)):  # Foreseen: 2, 1, 3.
             seen = observe(scenario, step, scenario.task.start[None], 31)
             seen = replace(seen, ego=seen.ego + np.array([x, 0.0, 0.0, 0.0, 0.0]))
             plan = ramp.plan(seen, growing_sets(seen))
         accelerations, states = zip(*ramp.told, strict=True)
         assert accelerations == (0.0, 2.0, 1.0, 3.0)
-        # At first nothing was foreseen; 0.04 m off the foreseen place is near, 0.06 m is not.
+        # At first nothing was foreseen; 8 mm off the foreseen place is near, 12 mm is not.
         assert [None if state is None else state.tolist() for state in states] == [
             None,
             [2.0] * 6,

@@ -168,7 +168,7 @@ def test_a_start_on_a_footway_takes_the_nearest_lane_for_cars(tmp_path: Path) ->
 
 def test_bounds_do_not_pass_a_thin_median() -> None:
     lanes = scenes.straight_road(lanes=1)
-    far = shifted(lanes[0], 0.0, 3.7, 900)
+    far = shifted(lanes[0], 0.0, 3.75, 900)
     np.testing.assert_allclose(route_to([*lanes, far]).left[70:300], 1.75, atol=1e-6)
     near = shifted(lanes[0], 0.0, 3.58, 900)
     np.testing.assert_allclose(route_to([*lanes, near]).left[70:300], 5.33, atol=1e-6)
@@ -282,7 +282,7 @@ def test_seams_and_crossed_bounds() -> None:
     closed = road_map([lanes[0], apart]).drivable
     assert closed.geom_type == "Polygon"
     assert closed.area == pytest.approx(3.5 * 200.08)
-    wide = shifted(lanes[1], 0.12, 0.0, 200)
+    wide = shifted(lanes[1], 0.22, 0.0, 200)
     assert road_map([lanes[0], wide]).drivable.geom_type == "MultiPolygon"
     x = np.array([0.0, 10.0, 20.0])
     crossed = Lanelet(1, np.stack([x, [2, 2, -1]], axis=1), np.stack([x, [0, 0, 1]], axis=1))
@@ -294,7 +294,11 @@ def test_seams_and_crossed_bounds() -> None:
 def brute_force_bounds(
     route: Route, chosen: Sequence[int], free: shapely.Geometry
 ) -> tuple[FloatArray, FloatArray]:
+    """Length of the rays sideways; a corner of the area cuts that of the nearest path point."""
     out = []
+    corners = shapely.get_coordinates(shapely.get_rings(shapely.get_parts(free)))
+    away = np.linalg.norm(corners[:, None] - route.path, axis=2)
+    nearest = away.argmin(axis=1)
     for i in chosen:
         normal = np.array([-np.sin(route.heading[i]), np.cos(route.heading[i])])
         row = []
@@ -304,7 +308,14 @@ def brute_force_bounds(
             parts = [
                 p for p in shapely.get_parts(inside) if p.distance(Point(ray.coords[0])) < 1e-9
             ]
-            row.append(side * max((p.length for p in parts), default=0.0))
+            beside = [
+                float(side * normal @ (corner - route.path[i]))
+                for corner in corners[nearest == i]
+                if np.linalg.norm(corner - route.path[i]) < 12.0
+                and abs(np.cross(normal, corner - route.path[i])) <= 0.5
+            ]
+            reach = max((p.length for p in parts), default=0.0)
+            row.append(side * min([reach, *(d for d in beside if d >= 0.0)]))
         out.append(row)
     rows = np.array(out)
     return rows[:, 0], rows[:, 1]
@@ -318,6 +329,20 @@ def test_bounds_against_ray_casting(lanes: tuple[scenes.Lane, ...]) -> None:
     left, right = brute_force_bounds(route, chosen, free)
     np.testing.assert_allclose(route.left[chosen], left, atol=1e-6)
     np.testing.assert_allclose(route.right[chosen], right, atol=1e-6)
+    assert np.all(route.outer_left >= route.left)
+    assert np.all(route.outer_right <= route.right)
+
+
+def test_a_post_between_two_path_points_bounds_both_sides() -> None:
+    """A hole of 20 cm beside the path that no normal meets."""
+    path = np.column_stack([np.arange(0.0, 40.0, 0.5), np.zeros(80)])
+    post = shapely.box(10.15, 0.8, 10.35, 1.0)
+    area = shapely.box(-1.0, -3.0, 41.0, 3.0).difference(post)
+    roads = RoadMap((), area)
+    left, right = Corridor.of_area(path, roads).bounds(path, np.zeros(80))
+    np.testing.assert_allclose(left[[20, 21]], 0.8)
+    np.testing.assert_allclose(np.delete(left, [20, 21]), 3.0)
+    np.testing.assert_allclose(right, -3.0)
 
 
 def recorded(step: int) -> list[Path]:

@@ -1,0 +1,176 @@
+"""``reactive-v1``: CommonRoad's reactive planner, a sampling planner in a Frenet frame.
+
+Wuersching, Pek et al., https://github.com/CommonRoad/commonroad-reactive-planner, after Werling
+et al., "Optimal trajectory generation for dynamic street scenarios in a Frenet frame", ICRA 2010.
+
+It is driven as its ``run_planner.py`` drives it: the goal's mean velocity (or else the start's) is
+the wish, sampling gets denser until a trajectory is found that is feasible and free of
+collisions, and where none is found the run ends. Three things differ: the map, the path and the
+obstacles are dosplan's; it plans at every cycle and not at every third one; and it samples in one
+process.
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from dosplan.api import NoPlanError
+from dosplan.types import (
+    EGO_HEADING,
+    EGO_STEERING,
+    EGO_VELOCITY,
+    FloatArray,
+    Observation,
+    Occupancy,
+    PlanningTask,
+    RoadMap,
+)
+from dosplan.vehicle import VehicleParameters
+from dosplan_peers import INSTALL
+from dosplan_peers.peer import Peer, Trajectory
+from dosplan_peers.world import commonroad_scenario, moving_rectangles, reference_path
+
+try:
+    from commonroad.common.util import Interval
+    from commonroad.planning.goal import GoalRegion
+    from commonroad.planning.planning_problem import PlanningProblem
+    from commonroad.scenario.state import CustomState, InitialState
+    from commonroad_rp.reactive_planner import ReactivePlanner
+    from commonroad_rp.state import ReactivePlannerState
+    from commonroad_rp.utility import config as rp
+    from commonroad_rp.utility.general import retrieve_desired_velocity_from_pp
+    from commonroad_rp.utility.utils_coordinate_system import create_coordinate_system
+except ImportError as error:
+    raise ImportError(f"{error}; {INSTALL}") from error
+
+
+class CommonRoadReactivePlanner(Peer):
+    """CommonRoad's reactive planner."""
+
+    name = "reactive-v1"
+
+    def __init__(self, *, seed: int = 0, horizon: int = 20) -> None:
+        """Chooses the horizon.
+
+        Args:
+            seed: Seed of the run; the planner draws nothing at random.
+            horizon: Steps to plan; 20 is that of the configurations it is published with.
+        """
+        super().__init__(seed=seed)
+        self._horizon = horizon
+
+    def build(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
+        """Makes a planner with the road's edge as its only obstacle.
+
+        Args:
+            task: Start, goal and route.
+            road_map: The map.
+            vehicle: The ego's parameters.
+        """
+        config = rp.ReactivePlannerConfiguration(
+            vehicle=_vehicle(vehicle),
+            planning=rp.PlanningConfiguration(dt=task.dt, time_steps_computation=self._horizon),
+            debug=rp.DebugConfiguration(multiproc=False, logging_level="CRITICAL"),
+        )
+        problem = _problem(task, vehicle)
+        config.update(commonroad_scenario(road_map, task.dt), problem)
+        self._planner = ReactivePlanner(config)
+        self._road = self._planner.collision_checker
+        with warnings.catch_warnings():  # It divides by the curvature of straight roads.
+            warnings.simplefilter("ignore")
+            self._frame = create_coordinate_system(reference_path(task.route))
+        self._wish = float(retrieve_desired_velocity_from_pp(problem))
+
+    def find(
+        self,
+        observation: Observation,
+        occupancy: Occupancy,
+        acceleration: float,
+        frenet: FloatArray | None,
+    ) -> Trajectory:
+        """Samples trajectories and takes the cheapest that is feasible and free of collisions.
+
+        Args:
+            observation: What is known now.
+            occupancy: The sets to keep out of.
+            acceleration: The ego's acceleration now, m/s2.
+            frenet: (6,) the ego's state in the Frenet frame, or None where it is not known.
+
+        Returns:
+            The trajectory.
+
+        Raises:
+            NoPlanError: There is none.
+        """
+        checker = self._road.clone()
+        for obstacle in moving_rectangles(occupancy, observation.step, self._horizon):
+            checker.add_collision_object(obstacle)
+        ego = observation.ego
+        self._planner.reset(
+            initial_state_cart=_state(ego, observation.step, acceleration, self._vehicle),
+            initial_state_curv=None if frenet is None else (frenet[:3], frenet[3:]),
+            collision_checker=checker,
+            coordinate_system=self._frame,
+        )
+        self._planner.set_desired_velocity(self._wish, current_speed=float(ego[EGO_VELOCITY]))
+        found = self._planner.plan()
+        if found is None:
+            raise NoPlanError("no sampled trajectory is feasible and free of collisions")
+        states = found[0].state_list
+        return Trajectory(
+            steering=np.array([state.steering_angle for state in states]),
+            velocity=np.array([state.velocity for state in states]),
+            acceleration=np.array([state.acceleration for state in states]),
+            position=np.array([state.position for state in states]),
+            frenet=np.hstack(found[1:]),
+        )
+
+
+def _vehicle(vehicle: VehicleParameters) -> rp.VehicleConfiguration:
+    return rp.VehicleConfiguration(
+        length=vehicle.length,
+        width=vehicle.width,
+        wb_front_axle=vehicle.wheelbase - vehicle.rear_to_centre,
+        wb_rear_axle=vehicle.rear_to_centre,
+        a_max=vehicle.max_acceleration,
+        v_switch=vehicle.switching_velocity,
+        delta_min=-vehicle.max_steering,
+        delta_max=vehicle.max_steering,
+        v_delta_min=-vehicle.max_steering_rate,
+        v_delta_max=vehicle.max_steering_rate,
+    )
+
+
+def _problem(task: PlanningTask, vehicle: VehicleParameters) -> PlanningProblem:
+    """What the planner reads of a planning problem: the start and the first goal's velocity."""
+    goal = task.goals[0]
+    wanted = {"time_step": Interval(goal.first_step, goal.last_step)}
+    if goal.velocity is not None:
+        wanted["velocity"] = Interval(*goal.velocity)
+    start = InitialState(
+        position=vehicle.centre(task.start),
+        orientation=float(task.start[EGO_HEADING]),
+        velocity=float(task.start[EGO_VELOCITY]),
+        acceleration=0.0,
+        yaw_rate=0.0,
+        slip_angle=0.0,
+        time_step=task.start_step,
+    )
+    return PlanningProblem(1, start, GoalRegion([CustomState(**wanted)]))
+
+
+def _state(
+    ego: FloatArray, step: int, acceleration: float, vehicle: VehicleParameters
+) -> ReactivePlannerState:
+    turning = float(np.tan(ego[EGO_STEERING])) / vehicle.wheelbase
+    return ReactivePlannerState(
+        time_step=step,
+        position=np.array(ego[:2]),
+        steering_angle=float(ego[EGO_STEERING]),
+        velocity=float(ego[EGO_VELOCITY]),
+        orientation=float(ego[EGO_HEADING]),
+        acceleration=acceleration,
+        yaw_rate=float(ego[EGO_VELOCITY]) * turning,
+    )

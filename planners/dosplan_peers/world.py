@@ -1,0 +1,138 @@
+"""dosplan's map, route and sets as the peers take them: as objects of CommonRoad's tools."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from dosplan.types import FloatArray, Occupancy, RoadMap, Route
+from dosplan_peers import INSTALL
+
+try:
+    from commonroad.scenario.lanelet import Lanelet
+    from commonroad.scenario.scenario import Scenario
+    from commonroad_dc import pycrcc
+    from commonroad_dc.collision.trajectory_queries.trajectory_queries import (
+        trajectory_preprocess_obb_sum,
+    )
+except ImportError as error:
+    raise ImportError(f"{error}; {INSTALL}") from error
+
+_EXTENSION: Final = 30.0  # m of straight path added at either end, as Frenetix's driver does.
+
+
+def commonroad_scenario(road_map: RoadMap, dt: float) -> Scenario:
+    """The map alone as a CommonRoad scenario.
+
+    Args:
+        road_map: The map.
+        dt: Step, s.
+
+    Returns:
+        A scenario without obstacles.
+    """
+    scenario = Scenario(dt)
+    for lanelet in road_map.lanelets:
+        bounds = (np.array(line) for line in (lanelet.left, lanelet.centre, lanelet.right))
+        scenario.add_objects(Lanelet(*bounds, lanelet.id))
+    return scenario
+
+
+def reference_path(route: Route) -> FloatArray:
+    """The route's path, a little longer at both ends, so that every sample can be projected.
+
+    Args:
+        route: The route.
+
+    Returns:
+        (P, 2) m.
+    """
+    headings = route.heading[[0, -1]]
+    spacing = float(route.arclength[1] - route.arclength[0])
+    steps = np.arange(spacing, _EXTENSION, spacing)[:, None]
+    behind, ahead = np.stack([np.cos(headings), np.sin(headings)], axis=1)
+    return np.concatenate(
+        [route.path[0] - steps[::-1] * behind, route.path, route.path[-1] + steps * ahead]
+    )
+
+
+def set_sizes(occupancy: Occupancy) -> FloatArray:
+    """Rectangles along each road user's heading that hold its footprint anywhere in its set.
+
+    The set reaches sqrt((a cos d)^2 + (b sin d)^2) far in a direction that is d off its first
+    semi-axis. With semi-axes of zero it is the footprint that remains.
+
+    Args:
+        occupancy: The sets of N road users at T steps.
+
+    Returns:
+        (N, T, 2) length and width, m; anything where the occupancy is not valid.
+    """
+    off = occupancy.heading - occupancy.angle
+    cos, sin = np.cos(off), np.sin(off)
+    first, second = np.moveaxis(occupancy.semi_axes, -1, 0)
+    along = np.hypot(first * cos, second * sin)
+    across = np.hypot(first * sin, second * cos)
+    return np.asarray(occupancy.footprint[:, None] + 2.0 * np.stack([along, across], axis=-1))
+
+
+def moving_rectangles(occupancy: Occupancy, step: int, steps: int) -> list[Any]:
+    """The sets as obstacles of CommonRoad's collision checker.
+
+    Args:
+        occupancy: The sets.
+        step: The present step: the sets begin at the one after it.
+        steps: Number of steps to look at.
+
+    Returns:
+        A ``pycrcc.TimeVariantCollisionObject`` for each stretch of steps at which a road user is
+        predicted to be on the scene.
+    """
+    sizes = set_sizes(occupancy)
+    valid = np.pad(occupancy.valid[:, :steps].astype(np.int8), ((0, 0), (1, 1)))
+    edges = np.diff(valid, axis=1)
+    return [
+        time_variant(
+            occupancy.centre[user, first:end],
+            occupancy.heading[user, first:end],
+            sizes[user, first:end],
+            int(step + 1 + first),
+        )
+        for (user, first), (_, end) in zip(
+            np.argwhere(edges > 0), np.argwhere(edges < 0), strict=True
+        )
+    ]
+
+
+def time_variant(centre: FloatArray, heading: FloatArray, size: FloatArray, step: int) -> Any:
+    """A rectangle that moves, as an object of CommonRoad's collision checker.
+
+    Args:
+        centre: (T, 2) m.
+        heading: (T,) rad.
+        size: (T, 2) length and width, m.
+        step: The step of the first pose.
+
+    Returns:
+        A ``pycrcc.TimeVariantCollisionObject``.
+    """
+    found = pycrcc.TimeVariantCollisionObject(step)
+    for (x, y), angle, (length, width) in zip(centre, heading, size, strict=True):
+        found.append_obstacle(pycrcc.RectOBB(0.5 * length, 0.5 * width, angle, x, y))
+    return found
+
+
+def swept(moving: Any) -> Any:
+    """Rectangles around what a moving one sweeps from each step to the next.
+
+    Args:
+        moving: A ``pycrcc.TimeVariantCollisionObject``.
+
+    Returns:
+        Another one; the same where it is there for one step only.
+    """
+    if moving.time_end_idx() == moving.time_start_idx():
+        return moving
+    hulls, failed = trajectory_preprocess_obb_sum(moving)
+    return moving if failed else hulls

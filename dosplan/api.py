@@ -47,12 +47,15 @@ class Planner(ABC):
     """Drives the ego.
 
     Attributes:
-        name: Versioned name that goes into results (``mpc-v1``); a changed behaviour is a new
+        name: Versioned name that goes into results (``mpc-v2``); a changed behaviour is a new
             version.
+        settings: Dataclass of the options that a user may set; the constructor then takes an
+            instance of it as ``settings``. Where None, options are keyword arguments.
         last_seconds: Wall-clock time of the last ``plan``, s.
     """
 
     name: ClassVar[str]
+    settings: ClassVar[type[Any] | None] = None
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -141,10 +144,13 @@ class Predictor(ABC):
 
     Attributes:
         name: Versioned name that goes into results (``constant-velocity-v1``).
+        settings: Dataclass of the options that a user may set; the constructor then takes an
+            instance of it as ``settings``. Where None, options are keyword arguments.
         last_seconds: Wall-clock time of the last ``predict``, s.
     """
 
     name: ClassVar[str]
+    settings: ClassVar[type[Any] | None] = None
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

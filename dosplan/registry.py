@@ -12,7 +12,7 @@ import inspect
 import sys
 import traceback
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from difflib import get_close_matches
 from enum import Enum
 from hashlib import sha256
@@ -288,19 +288,42 @@ def _check_options(found: Any, options: Collection[str], spec: str, kind: Plugin
 def _create(spec: str, seed: int, options: Mapping[str, object], kind: PluginKind) -> Any:
     found = _find(spec, kind, options)
     try:
+        if found.settings is not None:
+            return found(seed=seed, settings=_settings(found.settings, options))
         return found(seed=seed, **options)
     except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
         raise RegistryError(f"{kind.word} {spec!r} cannot be built: {one_line(error)}") from error
 
 
-def _options(plugin: type[Any]) -> list[str] | None:
-    """Names of the keyword arguments a class can be built with besides the seed.
+def _settings(kind: type[Any], options: Mapping[str, object]) -> Any:
+    """The plug-in's dataclass with these values, checked against its types."""
+    import dacite  # Only for plug-ins with settings.
 
-    A constructor that hands ``**options`` on takes those of the next class as well.
+    config = dacite.Config(strict=True, type_hooks={float: _number})
+    try:
+        return dacite.from_dict(kind, options, config)
+    except dacite.WrongTypeError as error:
+        raise ValueError(
+            f"option {error.field_path} is {error.value!r}, expected {error.field_type.__name__}"
+        ) from None
+
+
+def _number(value: object) -> object:
+    """An integer where a float is wanted is one."""
+    return float(value) if type(value) is int else value
+
+
+def _options(plugin: type[Any]) -> list[str] | None:
+    """Names of the options a class can be built with besides the seed.
+
+    They are the fields of its settings or the keyword arguments of its constructor, and of the
+    next class's where that hands ``**options`` on.
 
     Returns:
         The names, sorted; None where the constructors do not say.
     """
+    if plugin.settings is not None:
+        return sorted(field.name for field in fields(plugin.settings))
     names: set[str] = set()
     for owner in plugin.__mro__:
         if "__init__" not in vars(owner) or owner is object:

@@ -19,17 +19,29 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import copy
 from tempfile import TemporaryDirectory
 from typing import Any, Final
+from unittest.mock import patch
 
 import numpy as np
 from dosplan_dos.predictor import DEFAULT_SETS, SETS, DosPredictor, shipped_sets
+from dosplan_mpc.compiled import CompileError
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.nlp import MpcProblem
+from dosplan_mpc.nlp import (
+    EMPTY_SLOT,
+    REFERENCE_SIZE,
+    STAGE_HEAD,
+    STATE_SIZE,
+    STATION_SIZE,
+    Guess,
+    MpcProblem,
+)
+from dosplan_mpc.shape import STATIONS, station_offsets
 from dosplan_net.encoder import MAP, SCENE, shipped_weights
 from dosplan_net.engine import Engine
 from dosplan_net.features import HISTORY, cut_map, describe
@@ -54,6 +66,7 @@ PREDICTED: Final = (10, 30, 100)  # Road users of the scenes that the trained ne
 PREDICTION_PARTS: Final = ("features", "network", "sets", "total")
 PREDICTIONS: Final = 60  # Of each of them.
 ROUNDS: Final = 2  # Drives for each number of road users.
+SOLVES: Final = 30  # Of the compiled problem and of its virtual machine.
 REPEATS: Final = 3  # Of everything else that has no cycles.
 VEHICLE: Final = VehicleParameters()
 
@@ -98,6 +111,7 @@ def main() -> None:
         "ratios": find_ratios(scenarios),
         "road_users": measure_growth(planner, predictor),
         "engines": measure_engines(shipped_weights(), shipped_sets(DEFAULT_SETS)),
+        "compiled": measure_compiled(),
         "startup_ms": {**measure_startup(), "load_scenario": spread(loads)},
         "environment": describe_environment(),
     }
@@ -201,6 +215,39 @@ def measure_engines(network: Path, sets: Path) -> dict[str, dict[str, Figures]]:
     return found
 
 
+def measure_compiled() -> Figures:
+    """Medians of a solve, processor time in ms, and the ratio of machine code to virtual machine.
+
+    Of one second and two road users, whose library is made in seconds. Nothing without a compiler.
+    """
+    config = replace(MpcConfig(), horizon=10, slots=2)
+    with TemporaryDirectory() as scratch, patch.dict(os.environ, DOSPLAN_CACHE=scratch):
+        interpreted = MpcProblem(config, VEHICLE, STEP_SECONDS)
+        try:
+            interpreted.formulation.compile(interpreted.formulation.library())
+        except CompileError:
+            return {}
+        compiled = MpcProblem(config, VEHICLE, STEP_SECONDS)
+    n = config.horizon
+    states = np.zeros((n + 1, STATE_SIZE))
+    states[:, 0] = np.arange(n + 1)
+    states[:, 3] = 10.0
+    stages = np.zeros((n + 1, interpreted.stage_size))
+    stages[:, 0], stages[:, 4] = states[:, 0], states[:, 3]
+    edges = stages[:, REFERENCE_SIZE:STAGE_HEAD].reshape(n + 1, STATIONS, STATION_SIZE)
+    edges[..., 0] = states[:, :1] + station_offsets(VEHICLE)
+    edges[..., -2:] = (-2.0, 5.0)
+    stages[:, STAGE_HEAD:] = (12.0, -0.5, 0.3, 0.0, 0.0, 0.5, 1000.0, *EMPTY_SLOT)
+    guess = Guess(states, np.zeros((n, 2)), np.zeros(n), states[:, 0])
+    solve = [
+        partial(problem.solve, states[0], stages, guess, np.zeros((n, config.slots)))
+        for problem in (interpreted, compiled)
+    ]
+    times = [[cpu_time(action) for action in solve] for _ in range(SOLVES)]
+    slow, quick = np.median(times, axis=0).tolist()
+    return {"virtual_machine": slow, "compiled": quick, "ratio": quick / slow}
+
+
 def steady_flow(n: int) -> Scenario:
     """The ego amid the ``n`` nearest cars of thirteen lanes of traffic that flows at 7 to 10 m/s.
 
@@ -274,6 +321,12 @@ def show(figures: dict[str, Any]) -> None:
         if engines
         else 'torch and onnxruntime are not compared: pip install "dosplan[onnx]"'
     )
+    compiled = figures["compiled"]
+    compiled_table = (
+        table(["solve, ms", *map(str, compiled)], rows({"10 steps, 2 road users": compiled}))
+        if compiled
+        else "compiled problems are not measured: there is no C compiler"
+    )
     under = " ".join(f"{p:>5}" for p in percentiles)
     times = [[part, *(triple(figures["times_ms"][d][part]) for d in drives)] for part in PARTS]
     for built in (
@@ -282,6 +335,7 @@ def show(figures: dict[str, Any]) -> None:
         table(["ratio within a scenario", "median", "lowest", "highest"], rows(figures["ratios"])),
         table(["road\nusers", *columns], rows(figures["road_users"])),
         engine_table,
+        compiled_table,
         table(["before the first cycle, ms", "n", *percentiles], rows(figures["startup_ms"])),
     ):
         Console().print(built, highlight=False, markup=False)

@@ -45,9 +45,9 @@ def candidates(source: str | Path) -> list[Candidate]:
         ScenarioError: There is no such thing, or an archive cannot be unpacked.
     """
     found = _named(Path(), str(source))
-    if not found and not place(source).exists():
+    if not found and not (there := place(source)).exists():
         raise ScenarioError(
-            Path(source),
+            there,
             'does not exist; name a file, a folder, a quoted glob, an archive, @LIST or "suite"',
         )
     return list({candidate.path: candidate for candidate in found}.values())

@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import functools
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -41,10 +41,11 @@ import numpy as np
 
 from dosplan.types import BoolArray, FloatArray, IntArray, SolveStatus
 from dosplan.vehicle import VehicleParameters
+from dosplan_mpc.compiled import Formulation
 from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.shape import STATIONS, disc_offsets, station_offsets
 
 STATE_SIZE = 6
-STATIONS = 5  # Evenly from the rear to the front bumper; in a bend the sides bulge between.
 STATION_SIZE = 6  # x, y, psi, kappa of the path beside the station; right and left edge.
 SLOT_SIZE = 7  # Centre x, y, the rows of M and the penalty of a forbidden set.
 # x, y, psi, kappa of the path; reference velocity and offset; way from the path's point to the
@@ -104,36 +105,6 @@ class Solution:
     def usable(self) -> bool:
         """Whether the iterate may be driven."""
         return self.status in (SolveStatus.SOLVED, SolveStatus.ACCEPTED)
-
-
-def disc_offsets(vehicle: VehicleParameters, count: int) -> tuple[FloatArray, float]:
-    """Equal discs that cover the ego's rectangle.
-
-    Args:
-        vehicle: The ego.
-        count: Number of discs.
-
-    Returns:
-        (count,) offsets of the centres ahead of the rear axle, m, and the radius, m.
-    """
-    piece = vehicle.length / count
-    first = vehicle.rear_to_centre - vehicle.length / 2.0 + piece / 2.0
-    return np.asarray(first + piece * np.arange(count), dtype=np.float64), float(
-        np.hypot(piece, vehicle.width) / 2.0
-    )
-
-
-def station_offsets(vehicle: VehicleParameters) -> FloatArray:
-    """Offsets of the stations ahead of the rear axle, m; the middle one is the centre.
-
-    Args:
-        vehicle: The ego.
-
-    Returns:
-        (STATIONS,) m.
-    """
-    half = vehicle.length / 2.0
-    return np.asarray(vehicle.rear_to_centre + np.linspace(-half, half, STATIONS))
 
 
 class MpcProblem:
@@ -230,7 +201,8 @@ class MpcProblem:
                 "max_iter": config.max_iterations,
             },
         }
-        self._solver = ca.nlpsol("mpc", "fatrop", nlp, options)
+        self.formulation = Formulation(nlp, options)
+        self._solver = self.formulation.solver()
 
     def solve(
         self, start: FloatArray, stages: FloatArray, guess: Guess, set_slack: FloatArray
@@ -324,6 +296,21 @@ def problem(config: MpcConfig, vehicle: VehicleParameters, dt: float) -> MpcProb
         The shared problem.
     """
     return MpcProblem(config, vehicle, dt)
+
+
+def problems(config: MpcConfig, vehicle: VehicleParameters, dt: float) -> tuple[MpcProblem, ...]:
+    """The problem for few, more and all of the road users: few of them are solved quicker.
+
+    Args:
+        config: Settings.
+        vehicle: The ego.
+        dt: Step, s.
+
+    Returns:
+        The shared problems by increasing number of slots.
+    """
+    sizes = sorted({config.slots // 4, config.slots // 2, config.slots})
+    return tuple(problem(replace(config, slots=slots), vehicle, dt) for slots in sizes)
 
 
 def _transition(vehicle: VehicleParameters, dt: float) -> Any:

@@ -29,17 +29,14 @@ from dosplan_mpc.nlp import (
     REFERENCE_SIZE,
     STAGE_HEAD,
     STATION_SIZE,
-    STATIONS,
     Guess,
-    MpcProblem,
     Solution,
-    disc_offsets,
-    problem,
-    station_offsets,
+    problems,
 )
 from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, stretch_back
 from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, RIGHT, ReferencePath, X, Y
 from dosplan_mpc.sampler import Candidates, Sampler
+from dosplan_mpc.shape import STATIONS, disc_offsets, station_offsets
 from dosplan_mpc.traffic import Traffic, look_around
 
 _SLACK_SEEN = 0.02  # A slack above this makes the planner look at alternatives.
@@ -66,15 +63,17 @@ class MpcPlanner(Planner):
 
     name: ClassVar[str] = "mpc-v2"
 
-    def __init__(self, *, seed: int = 0, config: MpcConfig | None = None) -> None:
+    settings: ClassVar[type[MpcConfig]] = MpcConfig
+
+    def __init__(self, *, seed: int = 0, settings: MpcConfig | None = None) -> None:
         """Keeps the settings; the problem itself is built at the first episode.
 
         Args:
             seed: Seed of the run; the planner draws nothing at random.
-            config: Settings; the defaults where None.
+            settings: Settings; the defaults where None.
         """
         super().__init__(seed=seed)
-        self.config = config or MpcConfig()
+        self.config = settings or MpcConfig()
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
         """Lays out path and goals; forgets the last episode.
@@ -86,10 +85,7 @@ class MpcPlanner(Planner):
         """
         self._vehicle = vehicle
         self._dt = task.dt
-        self._problems: tuple[MpcProblem, ...] = tuple(
-            problem(replace(self.config, slots=slots), vehicle, task.dt)
-            for slots in sorted({self.config.slots // 4, self.config.slots // 2, self.config.slots})
-        )
+        self._problems = problems(self.config, vehicle, task.dt)
         _, self._radius = disc_offsets(vehicle, self.config.discs)
         self._stations = station_offsets(vehicle)
         self._path = _aligned(task)
@@ -195,9 +191,7 @@ class MpcPlanner(Planner):
         keep = keep[np.isfinite(away[keep])]
         followers = traffic.followers[keep]
         penalty = self.config.set_penalty * np.linspace(1.0, self.config.far_penalty, n)
-        sets = forbidden_sets(
-            occupancy, n, self._radius + self.config.clearance, keep, penalty
-        )
+        sets = forbidden_sets(occupancy, n, self._radius + self.config.clearance, keep, penalty)
         sets = stretch_back(sets, followers, _TAIL)
         return release(sets, self._sampler.disc_centres(observation.ego), self._dt)
 

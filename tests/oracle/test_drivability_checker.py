@@ -27,7 +27,7 @@ from tests.oracle.real_data import commonroad_root
 VEHICLE = VehicleParameters()
 SIZE = np.array(VEHICLE.size)
 SCENARIOS = 30
-SEAM = 0.1
+SEAM = 0.2
 """Gaps between lanelets up to this wide count as road, m."""
 
 

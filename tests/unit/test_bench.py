@@ -45,4 +45,8 @@ def test_writes_figures_that_fit_together(tmp_path: Path) -> None:
             assert parts["total"][engine] > parts["features"][engine] > 0.0
         total = parts["total"]
         assert total["ratio"] == pytest.approx(total["onnx"] / total["torch"])
+    if compiled := figures["compiled"]:  # There are none without a compiler.
+        assert compiled["ratio"] == pytest.approx(
+            compiled["compiled"] / compiled["virtual_machine"]
+        )
     assert figures["startup_ms"]["dosplan_help"]["p50"] > figures["startup_ms"]["python"]["p50"]

@@ -25,9 +25,7 @@ from dosplan_mpc.nlp import (
     Guess,
     MpcProblem,
     Solution,
-    disc_offsets,
     problem,
-    station_offsets,
 )
 from dosplan_mpc.obstacles import (
     ForbiddenSets,
@@ -38,6 +36,7 @@ from dosplan_mpc.obstacles import (
 )
 from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, ReferencePath
 from dosplan_mpc.sampler import Sampler
+from dosplan_mpc.shape import disc_offsets, station_offsets
 from dosplan_mpc.traffic import Traffic, look_around
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -33,7 +33,7 @@ def drive(
     scenario = straight_scenario(
         steady_tracks(users), velocity=velocity, goals=goals, final_step=last
     )
-    planner = MpcPlanner(config=config)
+    planner = MpcPlanner(settings=config)
     return scenario, run_episode(scenario, planner, ErrorCirclePredictor(), arm)
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
+from dosplan_mpc.config import MpcConfig
 
 from dosplan import registry
 from dosplan.api import Planner, Predictor
@@ -137,6 +139,16 @@ def test_option_names_are_checked_without_building() -> None:
         find_planner(f"{FAULTY}:UnbuildablePlanner", ["gain"])
     with pytest.raises(RegistryError, match="no option 'seed'"):
         find_predictor(f"{FAULTY}:StillPredictor", ["seed"])
+
+
+def test_options_of_a_settings_class_are_typed() -> None:
+    planner = create_planner("mpc", 3, {"clearance": 1, "horizon": 20})
+    assert planner.seed == 3
+    assert vars(planner)["config"] == replace(MpcConfig(), clearance=1.0, horizon=20)
+    with pytest.raises(RegistryError, match=r"no option 'clearence'; did you mean 'clearance'\?"):
+        find_planner("mpc", ["clearence"])
+    with pytest.raises(RegistryError, match=r"option horizon is 'far', expected int"):
+        create_planner("mpc", 0, {"horizon": "far"})
 
 
 def test_a_constructor_that_raises_is_explained() -> None:

@@ -1,0 +1,180 @@
+"""Scenario by scenario: what each side did, why it ended so, and what the page draws of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from dosplan.report.html.codec import pack
+from dosplan.report.html.coverage import Foretold, SetsMet, foretold, sets_met
+from dosplan.report.html.episode import Drive, encode_episode
+from dosplan.report.html.scenes import families, is_of
+from dosplan.report.html.sides import Pairing
+from dosplan.report.html.thumbnails import thumbnail
+from dosplan.types import STEP_SECONDS, CollisionClass, FloatArray, Outcome, Scenario, Score, Tracks
+
+OUTCOME_WORDS: Final = {
+    Outcome.SUCCESS: "success",
+    Outcome.GOAL_MISSED: "goal missed",
+    Outcome.OUT_OF_BOUNDS: "out of bounds",
+    Outcome.COLLISION: "collision",
+    Outcome.PLANNER_FAILURE: "planner failure",
+}
+"""The outcomes, best first."""
+
+FASTER: Final = 0.5
+"""Mean velocities that differ by so much, m/s, make a drive faster or slower."""
+
+MOST_EXAMINED: Final = 500
+"""Recordings of so many scenarios are read for one page: those that differ or failed come first."""
+
+_CLASS_WORDS: Final = {
+    CollisionClass.STOPPED_EGO: "{} hit the standing ego",
+    CollisionClass.STOPPED_TRACK: "ran into {}, which stood",
+    CollisionClass.ACTIVE_REAR: "{} ran into the ego from behind",
+    CollisionClass.ACTIVE_FRONT: "ran into {}",
+    CollisionClass.ACTIVE_LATERAL: "touched {} at the side",
+}
+_LOOK_BACK: Final = (1.0, 2.0)  # s before a contact.
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scenario with what each side made of it.
+
+    Attributes:
+        scenario: Its id.
+        family: Where it comes from.
+        road_kind: What road it is of.
+        change: What the second side changed: ``fixed``, ``broken``, ``both failed``, ``both
+            succeeded``; for one side ``failed`` or ``succeeded``.
+        rows: The row of each side.
+        why: For each side, what the outcome came from.
+        met: The sets that each side met, or None where that is not known.
+        cycle_ms: Times of the planning cycles of each side, ms.
+        thumbnail: See ``dosplan.report.html.thumbnails``.
+        payload: What the player draws, packed; None where there is no recording.
+    """
+
+    scenario: str
+    family: str
+    road_kind: str
+    change: str
+    rows: tuple[Score, ...]
+    why: tuple[str, ...]
+    met: tuple[SetsMet | None, ...]
+    cycle_ms: tuple[FloatArray, ...]
+    thumbnail: dict[str, Any]
+    payload: str | None
+
+
+def examine(pairing: Pairing) -> Iterator[Case]:
+    """Looks at every scenario of a pairing, those that differ first, then those that failed.
+
+    Args:
+        pairing: What is set beside what.
+
+    Yields:
+        A case each; at most ``MOST_EXAMINED`` with what recordings and scenario files tell.
+    """
+    family = families(pairing.scenarios)
+    ranked = sorted(pairing.scenarios, key=lambda s: _urgency(_rows(pairing, s)))  # Stable.
+    for index, scenario in enumerate(ranked):
+        yield _case(pairing, scenario, family[scenario], index < MOST_EXAMINED)
+
+
+def change_of(rows: Sequence[Score]) -> str:
+    """Says in a word what became of a scenario.
+
+    Args:
+        rows: The row of each side.
+
+    Returns:
+        The word, see ``Case.change``.
+    """
+    reached = [row.outcome is Outcome.SUCCESS for row in rows]
+    if len(reached) == 1:
+        return "succeeded" if reached[0] else "failed"
+    return {
+        (False, True): "fixed",
+        (True, False): "broken",
+        (False, False): "both failed",
+        (True, True): "both succeeded",
+    }[reached[0], reached[1]]
+
+
+def _urgency(rows: Sequence[Score]) -> int:
+    changes = ("fixed", "broken", "both failed", "failed", "both succeeded", "succeeded")
+    return changes.index(change_of(rows))
+
+
+def _rows(pairing: Pairing, scenario: str) -> tuple[Score, ...]:
+    return tuple(side.rows[scenario] for side in pairing.sides)
+
+
+def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
+    rows = _rows(pairing, scenario)
+    recordings = [side.recording(scenario) if examined else None for side in pairing.sides]
+    scene = pairing.scenes.load(scenario) if examined else None
+    if scene is not None and not all(is_of(r, scene) for r in recordings if r is not None):
+        scene = None
+    drives = [
+        None if recording is None else Drive(recording, row)
+        for recording, row in zip(recordings, rows, strict=True)
+    ]
+    met = tuple(None if drive is None or scene is None else _met(drive, scene) for drive in drives)
+    return Case(
+        scenario=scenario,
+        family=family,
+        road_kind=pairing.scenes.road_kind(scenario, scene),
+        change=change_of(rows),
+        rows=rows,
+        why=tuple(
+            _why(row, one, None if scene is None else scene.tracks, drive)
+            for row, one, drive in zip(rows, met, drives, strict=True)
+        ),
+        met=met,
+        cycle_ms=tuple(np.empty(0) if r is None else r.cycle_ms for r in recordings),
+        thumbnail=thumbnail(scene, drives),
+        payload=pack(encode_episode(scene, drives)) if any(drives) else None,
+    )
+
+
+def _met(drive: Drive, scene: Scenario) -> SetsMet:
+    return sets_met(drive.recording, scene.tracks, drive.row.steps)
+
+
+def _why(row: Score, met: SetsMet | None, tracks: Tracks | None, drive: Drive | None) -> str:
+    """A line on what the outcome came from, as far as row and recording tell."""
+    if row.outcome is Outcome.PLANNER_FAILURE:
+        return row.error or "no plan and no fallback"
+    seconds = None if drive is None else STEP_SECONDS * drive.moment
+    when = "" if seconds is None else f" after {seconds:.1f} s"
+    if row.outcome is Outcome.OUT_OF_BOUNDS:
+        return f"left the road{when}"
+    if row.outcome is not Outcome.COLLISION or row.collision_with is None:
+        return ""
+    user = f"road user {row.collision_with}"
+    if tracks is not None:
+        kinds = dict(zip(tracks.ids.tolist(), tracks.kinds, strict=True))
+        user = f"{kinds[row.collision_with].value} {row.collision_with}"
+    how = "touched {}" if row.collision_class is None else _CLASS_WORDS[row.collision_class]
+    fault = "at fault" if row.at_fault else "not at fault"
+    said = ""
+    if met is not None and row.collision_step is not None:
+        said = _said(foretold(met, row.collision_with, row.collision_step))
+    return f"{how.format(user)}{when}; {fault}{said}"
+
+
+def _said(predictions: Sequence[Foretold]) -> str:
+    """What had been predicted of the road user for the moment of the contact."""
+    parts = []
+    for told in predictions:
+        seconds = round(told.offset * STEP_SECONDS, 3)
+        if seconds in _LOOK_BACK:
+            verdict = {True: "set held it, ", False: "set missed it, ", None: ""}[told.held]
+            parts.append(f"{seconds:g} s before: {verdict}predicted {told.miss:.1f} m off")
+    return "".join(f"; {part}" for part in parts)

@@ -1,0 +1,178 @@
+"""Coverage of the sets as met in the episodes, from recordings and the recorded future.
+
+A set that was handed to the planner at step s for a road user t steps ahead counts where the
+recording still shows that road user at s + t; it is a hit where the true centre lies inside it.
+Recordings keep the sets near the ego only, so these are the ones that mattered to it. Sets without
+an extent (the arm without DOS) are no sets and do not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dosplan.evaluation.groups import MOVING
+from dosplan.recording import Recording
+from dosplan.types import USER_VELOCITY, BoolArray, FloatArray, IntArray, Tracks
+
+
+@dataclass(frozen=True)
+class SetsMet:
+    """The kept sets of an episode against the truth; M sets, S kept steps ahead.
+
+    Attributes:
+        step: (M,) step at which each was made.
+        ids: (M,) id of the road user.
+        offsets: (S,) steps ahead.
+        miss: (M, S) distance of the predicted from the true centre, m; NaN where that is unknown.
+        counted: (M, S) whether the set has an extent and the true centre is known.
+        inside: (M, S) whether it held the true centre; False where not counted.
+        moving: (M,) whether the road user moved when it was predicted.
+    """
+
+    step: IntArray
+    ids: IntArray
+    offsets: IntArray
+    miss: FloatArray
+    counted: BoolArray
+    inside: BoolArray
+    moving: BoolArray
+
+
+@dataclass(frozen=True)
+class Foretold:
+    """What was predicted of a road user for a moment.
+
+    Attributes:
+        offset: Steps before the moment.
+        miss: Distance of the predicted from the true centre, m.
+        held: Whether the set held the true centre; None where a point was predicted.
+    """
+
+    offset: int
+    miss: float
+    held: bool | None
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Hits at one horizon.
+
+    Attributes:
+        offset: Steps ahead.
+        inside: Sets of moving road users that held the true centre.
+        counted: Sets of moving road users that could be judged.
+        all_inside: The same for all road users, standing ones too.
+        all_counted: Likewise.
+    """
+
+    offset: int
+    inside: int
+    counted: int
+    all_inside: int
+    all_counted: int
+
+
+def sets_met(recording: Recording, tracks: Tracks, driven: int) -> SetsMet:
+    """Judges the sets that were met during the scored drive.
+
+    Args:
+        recording: The episode.
+        tracks: The recorded road users of its scenario.
+        driven: Number of steps of the scored drive.
+
+    Returns:
+        The verdicts, of the cycles of that drive.
+    """
+    step = recording.cycle_steps[recording.set_cycle]
+    kept = step < recording.start_step + driven
+    step, ids = step[kept], recording.set_ids[kept]
+    centre, angle = recording.set_centres[kept], recording.set_angles[kept]
+    axes = recording.set_semi_axes[kept]
+    user = _indices(ids, tracks.ids)
+    target = step[:, None] + recording.set_offsets
+    column = np.minimum(target, tracks.steps - 1)
+    there = (user >= 0)[:, None] & (target < tracks.steps) & tracks.valid[user[:, None], column]
+    apart = tracks.states[user[:, None], column, :2] - centre
+    counted = there & np.all(axes > 0.0, axis=-1)
+    now = tracks.states[user, np.minimum(step, tracks.steps - 1), USER_VELOCITY]
+    return SetsMet(
+        step=step,
+        ids=ids,
+        offsets=recording.set_offsets,
+        miss=np.where(there, np.linalg.norm(apart, axis=-1), np.nan),
+        counted=counted,
+        inside=counted & _inside(apart, axes, angle),
+        moving=np.abs(now) >= MOVING,
+    )
+
+
+def total(met: Iterable[SetsMet]) -> list[Coverage]:
+    """Adds up the verdicts of several episodes.
+
+    Args:
+        met: The verdicts of each.
+
+    Returns:
+        One entry for each horizon at which a set was judged, ascending.
+    """
+    sums: dict[int, IntArray] = {}
+    for episode in met:
+        moving = episode.moving[:, None]
+        columns = np.stack(
+            [
+                np.sum(mask, axis=0)
+                for mask in (
+                    episode.inside & moving,
+                    episode.counted & moving,
+                    episode.inside,
+                    episode.counted,
+                )
+            ],
+            axis=1,
+        )
+        for offset, counts in zip(episode.offsets.tolist(), columns, strict=True):
+            sums[offset] = sums.get(offset, np.zeros(4, dtype=np.int64)) + counts
+    return [
+        Coverage(offset, *map(int, counts))
+        for offset, counts in sorted(sums.items())
+        if counts[3] > 0
+    ]
+
+
+def foretold(met: SetsMet, user: int, step: int) -> list[Foretold]:
+    """Looks up what was predicted of a road user for a moment.
+
+    Args:
+        met: The sets of the episode.
+        user: Id of the road user.
+        step: The moment: that of a contact, say.
+
+    Returns:
+        One entry for each time before the moment at which there was a prediction, the latest
+        first.
+    """
+    answer = []
+    for column, offset in enumerate(met.offsets.tolist()):
+        made = (met.ids == user) & (met.step == step - offset) & np.isfinite(met.miss[:, column])
+        for row in np.flatnonzero(made):
+            held = bool(met.inside[row, column]) if met.counted[row, column] else None
+            answer.append(Foretold(offset, float(met.miss[row, column]), held))
+    return answer
+
+
+def _inside(offset: FloatArray, axes: FloatArray, angle: FloatArray) -> BoolArray:
+    """Whether (..., 2) offsets from centres lie in ellipses; False for those without an extent."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    along = offset[..., 0] * cos + offset[..., 1] * sin
+    across = offset[..., 1] * cos - offset[..., 0] * sin
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray((along / axes[..., 0]) ** 2 + (across / axes[..., 1]) ** 2 <= 1.0)
+
+
+def _indices(wanted: IntArray, ids: IntArray) -> IntArray:
+    """Index of each wanted id, or -1."""
+    by_id = {int(one): index for index, one in enumerate(ids)}
+    return np.array([by_id.get(int(one), -1) for one in wanted], dtype=np.int64)

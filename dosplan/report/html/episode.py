@@ -1,0 +1,261 @@
+"""One scenario with the drives of its sides, as the player and the thumbnails draw it.
+
+What is kept is what an eye can use: the map and the road users near the drives, the sets of the
+road users that came nearest, plans by the half second. Everything is relative to an origin
+beside the ego's start. The scored drive ends at a contact or at the goal, and so does
+what is shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import shapely
+from shapely.geometry import MultiPolygon, Polygon
+
+from dosplan.geometry import areas
+from dosplan.recording import Recording
+from dosplan.report.html.codec import METRE, RADIAN, SPEED, differences, polyline
+from dosplan.report.html.predictions import prediction_blocks
+from dosplan.types import (
+    EGO_VELOCITY,
+    STEP_SECONDS,
+    FloatArray,
+    IntArray,
+    RoadUserKind,
+    Scenario,
+    Score,
+    Tracks,
+)
+from dosplan.vehicle import VehicleParameters
+
+MAP_METRES: Final = 60.0
+"""How far beside the drives the map is kept."""
+
+USER_METRES: Final = 70.0
+"""Road users that never come nearer to a drive than this are left out."""
+
+MOST_USERS: Final = 60
+PREDICTED_METRES: Final = 40.0
+MOST_PREDICTED: Final = 12
+"""Sets are kept of the road users that come nearest, so many and so near."""
+
+PLAN_STRIDE: Final = 5
+"""Every fifth point of a plan is kept: half a second."""
+
+KINDS: Final = tuple(RoadUserKind)
+_TOLERANCE: Final = 0.1  # m; of a simplified outline.
+_VEHICLE: Final = VehicleParameters()
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The scored drive of a side.
+
+    Attributes:
+        recording: The episode.
+        row: Its row.
+    """
+
+    recording: Recording
+    row: Score
+
+    @property
+    def start(self) -> int:
+        """Step of its first state."""
+        return self.recording.start_step
+
+    @property
+    def poses(self) -> FloatArray:
+        """(K + 1, 3) poses of the ego's centre, x, y, m, and heading, rad."""
+        return _VEHICLE.poses(self.recording.states[: self.row.steps + 1])
+
+    @property
+    def centres(self) -> FloatArray:
+        """(K + 1, 2) centres of the ego, m."""
+        return self.poses[:, :2]
+
+    @property
+    def moment(self) -> int:
+        """Steps from the start to what decided the outcome."""
+        row = self.row
+        steps = (row.collision_step, row.out_of_bounds_step, row.goal_step)
+        return next((step - self.start for step in steps if step is not None), row.steps)
+
+
+def encode_episode(scene: Scenario | None, drives: Sequence[Drive | None]) -> dict[str, Any]:
+    """Writes what the player draws.
+
+    Args:
+        scene: The scenario, or None where it is not there: then there is no map, nor road users.
+        drives: The drive of each side; None where it has none. One is there at least.
+
+    Returns:
+        The payload; ``static/player.js`` reads it.
+    """
+    driven = [drive for drive in drives if drive is not None]
+    origin = np.rint(driven[0].centres[0])
+    payload: dict[str, Any] = {
+        "dt": STEP_SECONDS,
+        "first": min(drive.start for drive in driven),
+        "ego": [_VEHICLE.length, _VEHICLE.width],
+    }
+    near: IntArray = np.empty(0, dtype=np.int64)
+    if scene is not None:
+        near = _nearest(scene.tracks, driven)
+        payload |= _encode_map(scene, driven, origin)
+        payload["users"] = _encode_users(scene.tracks, near, driven, origin)
+    wanted = None if scene is None else _predicted(scene.tracks, near, driven)
+    blocks, used = prediction_blocks(
+        [None if drive is None else drive.recording for drive in drives],
+        [0 if drive is None else drive.row.steps for drive in drives],
+        wanted,
+        origin,
+    )
+    payload["predictions"] = blocks
+    payload["sides"] = [
+        None
+        if drive is None
+        else _encode_drive(drive, origin)
+        | {"predictions": block, "touched": drive.row.collision_with}
+        for drive, block in zip(drives, used, strict=True)
+    ]
+    return payload
+
+
+def _encode_drive(drive: Drive, origin: FloatArray) -> dict[str, Any]:
+    recording, poses = drive.recording, drive.poses
+    kept = np.flatnonzero(recording.cycle_steps < drive.start + drive.row.steps)
+    plans = recording.plan_centres[kept, PLAN_STRIDE::PLAN_STRIDE] - origin
+    # A plan that is shorter than the longest stays at its last point.
+    ends = np.isnan(plans[..., 0])
+    for column in range(1, plans.shape[1]):
+        plans[ends[:, column], column] = plans[ends[:, column], column - 1]
+    whole = not np.isnan(plans).any()
+    return {
+        "start": drive.start,
+        "x": differences(poses[:, 0] - origin[0], METRE, 2),
+        "y": differences(poses[:, 1] - origin[1], METRE, 2),
+        "h": differences(np.unwrap(poses[:, 2]), RADIAN, 1),
+        "v": differences(recording.states[: len(poses), EGO_VELOCITY], SPEED, 1),
+        "moment": drive.moment,
+        "cycles": differences(recording.cycle_steps[kept], 1.0, 1),
+        "plans": [
+            [differences(plans[:, column, axis], METRE, 2) for axis in range(2)]
+            for column in range(plans.shape[1] if whole else 0)
+        ],
+    }
+
+
+def _encode_users(
+    tracks: Tracks, users: IntArray, drives: Sequence[Drive], origin: FloatArray
+) -> list[dict[str, Any]]:
+    first, last = _window(drives)
+    encoded = []
+    for user in users:
+        steps = np.flatnonzero(tracks.valid[user, first : last + 1]) + first
+        # Gaps in a recording are rare: the steps between are drawn on the way across.
+        there = np.arange(steps[0], steps[-1] + 1)
+        states = tracks.states[user, steps]
+        x, y, heading = (
+            np.interp(there, steps, column)
+            for column in (states[:, 0], states[:, 1], np.unwrap(states[:, 2]))
+        )
+        still = np.ptp(x) < METRE and np.ptp(y) < METRE and np.ptp(heading) < RADIAN
+        kept = slice(0, 1) if still else slice(None)
+        one: dict[str, Any] = {
+            "id": int(tracks.ids[user]),
+            "kind": KINDS.index(tracks.kinds[user]),
+            "size": [round(float(side), 2) for side in tracks.size[user]],
+            "from": int(there[0]),
+            "to": int(there[-1]),
+            "x": differences(x[kept] - origin[0], METRE, 2),
+            "y": differences(y[kept] - origin[1], METRE, 2),
+            "h": differences(heading[kept], RADIAN, 1),
+        }
+        outline = tracks.outlines[user]
+        encoded.append(one if outline is None else one | {"outline": polyline(outline)})
+    return encoded
+
+
+def _encode_map(scene: Scenario, drives: Sequence[Drive], origin: FloatArray) -> dict[str, Any]:
+    box = shapely.box(*_bounds(drives, MAP_METRES))
+    lines: dict[tuple[int, ...], list[int]] = {}
+    for lanelet in scene.road_map.lanelets:
+        for bound in (lanelet.left, lanelet.right):
+            clipped = shapely.intersection(shapely.LineString(bound), box)
+            for part in shapely.get_parts(shapely.simplify(clipped, _TOLERANCE)):
+                if isinstance(part, shapely.LineString) and not part.is_empty:
+                    points = np.asarray(part.coords)
+                    # The bound that two lanelets share is drawn once, whichever way it runs.
+                    key = min(tuple(polyline(p - origin)) for p in (points, points[::-1]))
+                    lines[key] = list(key)
+    goals = [goal.region for goal in scene.task.goals if goal.region is not None]
+    return {
+        "road": outlines(shapely.intersection(scene.road_map.drivable, box), origin),
+        "lines": list(lines.values()),
+        "goals": [ring for goal in goals for ring in outlines(goal.intersection(box), origin)],
+    }
+
+
+def outlines(area: shapely.Geometry, origin: FloatArray) -> list[list[int]]:
+    """Writes the rings of an area, holes too: to be filled by the even-odd rule.
+
+    Args:
+        area: m.
+        origin: (2,) m.
+
+    Returns:
+        A ``polyline`` each.
+    """
+    shape: Polygon | MultiPolygon = areas(shapely.simplify(area, _TOLERANCE))
+    return [
+        polyline(np.asarray(ring.coords) - origin)
+        for polygon in shapely.get_parts(shape)
+        for ring in (polygon.exterior, *polygon.interiors)
+    ]
+
+
+def _bounds(drives: Sequence[Drive], margin: float) -> tuple[float, float, float, float]:
+    centres = np.concatenate([drive.centres for drive in drives])
+    (left, bottom), (right, top) = centres.min(axis=0) - margin, centres.max(axis=0) + margin
+    return float(left), float(bottom), float(right), float(top)
+
+
+def _window(drives: Sequence[Drive]) -> tuple[int, int]:
+    """First and last step that is shown."""
+    return min(d.start for d in drives), max(d.start + d.row.steps for d in drives)
+
+
+def _distances(tracks: Tracks, drives: Sequence[Drive]) -> FloatArray:
+    """(N,) smallest distance of each road user to an ego at the same step, m."""
+    smallest = np.full(len(tracks.ids), np.inf)
+    for drive in drives:
+        centres = drive.centres[: max(tracks.steps - drive.start, 0)]
+        window = slice(drive.start, drive.start + len(centres))
+        apart = np.linalg.norm(tracks.states[:, window, :2] - centres, axis=-1)
+        apart[~tracks.valid[:, window]] = np.inf
+        smallest = np.minimum(smallest, apart.min(axis=1, initial=np.inf))
+    return smallest
+
+
+def _nearest(tracks: Tracks, drives: Sequence[Drive]) -> IntArray:
+    distances = _distances(tracks, drives)
+    order = np.argsort(distances, kind="stable")
+    return np.asarray(order[distances[order] < USER_METRES][:MOST_USERS])
+
+
+def _predicted(tracks: Tracks, nearest: IntArray, drives: Sequence[Drive]) -> Mapping[int, int]:
+    """Index in the payload of each road user whose sets are kept, by id."""
+    distances = _distances(tracks, drives)[nearest]
+    touched = {drive.row.collision_with for drive in drives}
+    ids = tracks.ids[nearest].tolist()
+    kept = [
+        index
+        for index, (one, distance) in enumerate(zip(ids, distances, strict=True))
+        if one in touched or (index < MOST_PREDICTED and distance < PREDICTED_METRES)
+    ]
+    return {ids[index]: index for index in kept}

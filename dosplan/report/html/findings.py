@@ -1,0 +1,280 @@
+"""The tables of a page: headline with intervals, outcome by group, coverage beside collisions.
+
+The interval of a share is Wilson's, that of a mean a percentile bootstrap over scenarios; intervals
+and tests of differences are those of ``dosplan.comparison``. All are at 95 %.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from dosplan.comparison import RESAMPLES, Difference
+from dosplan.report.html.cases import OUTCOME_WORDS, Case
+from dosplan.report.html.coverage import Coverage, total
+from dosplan.report.html.sides import Pairing
+from dosplan.types import STEP_SECONDS, FloatArray, Outcome, Score
+
+_SEED: Final = 0  # The intervals are part of the page, so they are the same each time.
+_LOOK_AHEAD: Final = (1.0, 2.0, 3.0)  # s; where coverage is given beside collisions.
+_SIGNIFICANT: Final = 0.05
+
+_SHARES: Final[Sequence[tuple[str, str | None, Callable[[Score], bool]]]] = (
+    ("Success", "success", lambda row: row.outcome is Outcome.SUCCESS),
+    ("Safe (no collision, on the road)", "safe", lambda row: row.safe),
+    ("Collision", "collision", lambda row: row.outcome is Outcome.COLLISION),
+    ("At-fault collision", "at_fault_collision", lambda row: row.at_fault),
+    ("Out of bounds", None, lambda row: row.outcome is Outcome.OUT_OF_BOUNDS),
+    ("Goal missed", None, lambda row: row.outcome is Outcome.GOAL_MISSED),
+    ("Planner failure", None, lambda row: row.outcome is Outcome.PLANNER_FAILURE),
+)
+"""Title, field of ``Comparison`` or None, verdict."""
+
+
+def headline(pairing: Pairing) -> list[dict[str, Any]]:
+    """Lays out the main figures.
+
+    Args:
+        pairing: What is set beside what.
+
+    Returns:
+        Rows of ``title``, ``sides`` (a value and its interval each) and ``difference`` (cells,
+        empty where none is tested).
+    """
+    rows = [
+        {
+            "title": title + ", %",
+            "sides": [_share(side.rows.values(), holds) for side in pairing.sides],
+            "difference": _difference(_field(pairing, field), 100.0, ".1f"),
+        }
+        for title, field, holds in _SHARES
+    ]
+    rows.append(
+        {
+            "title": "Velocity, m/s",
+            "sides": [_velocity(side.rows.values()) for side in pairing.sides],
+            "difference": _difference(_field(pairing, "velocity"), 1.0, ".2f"),
+        }
+    )
+    rows.append(
+        {
+            "title": "Comfortable (nuPlan's bounds), %",
+            "sides": [
+                _share([r for r in side.rows.values() if r.steps], lambda row: row.comfortable)
+                for side in pairing.sides
+            ],
+            "difference": [],
+        }
+    )
+    return rows
+
+
+def cycle_row(cases: Sequence[Case], sides: int) -> list[dict[str, str]]:
+    """Median and 99th percentile of the cycle time of each side, where it is known."""
+    cells = []
+    for side in range(sides):
+        times = pooled_cycle_ms(cases, side)
+        if len(times):
+            p50, p99 = np.percentile(times, [50.0, 99.0])
+            cells.append({"value": f"{p50:.0f}", "interval": f"p99 {p99:.0f}"})
+        else:
+            cells.append({"value": "-", "interval": ""})
+    return cells
+
+
+def pooled_cycle_ms(cases: Iterable[Case], side: int) -> FloatArray:
+    """Times of all planning cycles of a side.
+
+    Args:
+        cases: The cases.
+        side: Index of the side.
+
+    Returns:
+        (C,) ms.
+    """
+    return np.concatenate([np.empty(0), *(case.cycle_ms[side] for case in cases)])
+
+
+def verdict(pairing: Pairing, cases: Sequence[Case]) -> str:
+    """Says in a few sentences what came out.
+
+    Args:
+        pairing: What is set beside what.
+        cases: Its cases.
+
+    Returns:
+        Text.
+    """
+    last = pairing.sides[-1]
+    reached = sum(row.outcome is Outcome.SUCCESS for row in last.rows.values())
+    if pairing.comparison is None:
+        return f"Success {_name(last.name)} in {reached} of {len(last.rows)} scenarios."
+    first, success = pairing.sides[0], pairing.comparison.success
+    before = sum(row.outcome is Outcome.SUCCESS for row in first.rows.values())
+    counts = Counter(case.change for case in cases)
+    beyond = success.p is not None and success.p < _SIGNIFICANT
+    chance = "hardly chance" if beyond else "a difference that chance may bring about"
+    return (
+        f"Success {_name(last.name)} in {reached} of {success.n} scenarios, {_name(first.name)} in "
+        f"{before}: {100.0 * success.difference:+.1f} points (95 % interval "
+        f"{100.0 * success.low:+.1f} to {100.0 * success.high:+.1f}). {counts['fixed']} succeeded "
+        f"only {_name(last.name)}, {counts['broken']} only {_name(first.name)}: {chance} "
+        f"(McNemar p = {success.p:.2g})."
+    )
+
+
+def shortcuts(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, str]]:
+    """Ways from the result to the scenarios that made it.
+
+    Args:
+        cases: The cases.
+        names: Names of the sides.
+
+    Returns:
+        Filters of the list of scenarios that find something, and what to call them.
+    """
+    counts = Counter(case.change for case in cases)
+    texts = {
+        "fixed": f"succeeded only {_name(names[-1])}",
+        "broken": f"succeeded only {_name(names[0])}",
+        "both failed": "failed in both",
+        "failed": "failed",
+    }
+    return [(key, f"{counts[key]} {text}") for key, text in texts.items() if counts[key]]
+
+
+def _name(side: str) -> str:
+    """A side's name inside a sentence: ``with DOS``, but ``on A``."""
+    return side if " " in side else f"on {side}"
+
+
+def groups(cases: Sequence[Case], key: Callable[[Case], str], sides: int) -> list[dict[str, Any]]:
+    """Breaks the outcomes down.
+
+    Args:
+        cases: The cases.
+        key: Names a case's group.
+        sides: Number of sides.
+
+    Returns:
+        For each group, the largest first: ``name``, ``n``, and ``sides`` with counts of each
+        outcome, and coverage at 1 s and 3 s.
+    """
+    names = Counter(key(case) for case in cases)
+    return [
+        _group(name, [case for case in cases if key(case) == name], sides)
+        for name, _ in names.most_common()
+    ]
+
+
+def coverage_rows(cases: Sequence[Case], side: int) -> list[dict[str, Any]]:
+    """Sets the coverage that a side met beside its collisions.
+
+    Args:
+        cases: The cases.
+        side: Index of the side.
+
+    Returns:
+        Rows for all episodes, those with a collision and those without: ``title``, ``n``,
+        ``collisions``, ``cells``; none where no set was met.
+    """
+    collided = [case for case in cases if case.rows[side].outcome is Outcome.COLLISION]
+    others = [case for case in cases if case.rows[side].outcome is not Outcome.COLLISION]
+    parts = (("all episodes", cases), ("with a collision", collided), ("without one", others))
+    rows = [
+        {
+            "title": title,
+            "n": len(part),
+            "collisions": sum(c.rows[side].outcome is Outcome.COLLISION for c in part),
+            "cells": [_covered(coverage_of(part, side), time) for time in _LOOK_AHEAD],
+        }
+        for title, part in parts
+    ]
+    return rows if coverage_of(cases, side) else []
+
+
+def coverage_of(cases: Iterable[Case], side: int) -> list[Coverage]:
+    """Coverage of the sets that a side met.
+
+    Args:
+        cases: The cases.
+        side: Index of the side.
+
+    Returns:
+        One entry for each horizon.
+    """
+    return total(met for case in cases if (met := case.met[side]) is not None)
+
+
+def _group(name: str, cases: Sequence[Case], sides: int) -> dict[str, Any]:
+    counts = [Counter(case.rows[side].outcome for case in cases) for side in range(sides)]
+    return {
+        "name": name,
+        "n": len(cases),
+        "sides": [
+            {
+                "counts": [
+                    {"word": word, "outcome": outcome.value, "n": count[outcome]}
+                    for outcome, word in OUTCOME_WORDS.items()
+                    if count[outcome]
+                ],
+                "success": f"{100.0 * count[Outcome.SUCCESS] / len(cases):.0f}",
+                "collision": f"{100.0 * count[Outcome.COLLISION] / len(cases):.0f}",
+                "cells": [_covered(coverage_of(cases, side), time) for time in _LOOK_AHEAD],
+            }
+            for side, count in enumerate(counts)
+        ],
+    }
+
+
+def _covered(coverage: Iterable[Coverage], seconds: float) -> str:
+    """Share of the sets of moving road users so far ahead that held the true centre."""
+    offset = round(seconds / STEP_SECONDS)
+    found = next((one for one in coverage if one.offset == offset), None)
+    if found is None or not found.counted:
+        return "-"
+    return f"{100.0 * found.inside / found.counted:.1f}"
+
+
+def _field(pairing: Pairing, field: str | None) -> Difference | None:
+    if pairing.comparison is None or field is None:
+        return None
+    found: Difference | None = getattr(pairing.comparison, field)
+    return found
+
+
+def _share(rows: Iterable[Score], holds: Callable[[Score], bool]) -> dict[str, str]:
+    from scipy.stats import binomtest  # A slow import that listing does without.
+
+    held = [holds(row) for row in rows]
+    if not held:
+        return {"value": "-", "interval": ""}
+    interval = binomtest(sum(held), len(held)).proportion_ci(method="wilson")
+    return {
+        "value": f"{100.0 * sum(held) / len(held):.1f}",
+        "interval": f"{100.0 * interval.low:.1f} to {100.0 * interval.high:.1f}",
+    }
+
+
+def _velocity(rows: Iterable[Score]) -> dict[str, str]:
+    values = np.array([row.velocity for row in rows if row.steps])
+    if not len(values):
+        return {"value": "-", "interval": ""}
+    picks = np.random.default_rng(_SEED).integers(len(values), size=(RESAMPLES, len(values)))
+    low, high = np.percentile(values[picks].mean(axis=1), [2.5, 97.5])
+    return {"value": f"{values.mean():.2f}", "interval": f"{low:.2f} to {high:.2f}"}
+
+
+def _difference(figure: Difference | None, scale: float, form: str) -> list[str]:
+    if figure is None:
+        return []
+    return [
+        f"{scale * figure.difference:+{form}}",
+        f"{scale * figure.low:+{form}} to {scale * figure.high:+{form}}",
+        "" if figure.only_a is None else str(figure.only_a),
+        "" if figure.only_b is None else str(figure.only_b),
+        "" if figure.p is None else f"{figure.p:.2g}",
+    ]

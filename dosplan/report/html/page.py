@@ -1,0 +1,231 @@
+"""Assembles a page: one HTML file that holds its data, style and script and asks nobody for more.
+
+The page's text is filled in by Jinja2, which escapes whatever comes from files; what the script
+shows comes from one block of JSON and reaches the page as text only. A content security policy
+allows this one script, by its hash, and no connection.
+
+The table of scenarios and the player are the page's own few hundred lines of script: what they need
+of a library (sorting and filtering a few hundred rows, drawing polygons) the browser has, and one
+that does it would be several times the size of everything else.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache, partial
+from hashlib import sha256
+from importlib.resources import files
+from typing import Any, Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from dosplan import __version__
+from dosplan.comfort import MAX_LATERAL_ACCELERATION, MAX_LONGITUDINAL_JERK, MIN_ACCELERATION
+from dosplan.report.html import findings
+from dosplan.report.html.cases import FASTER, MOST_EXAMINED, OUTCOME_WORDS, Case, examine
+from dosplan.report.html.episode import KINDS
+from dosplan.report.html.figures import coverage_plot, histogram
+from dosplan.report.html.sides import Pairing
+from dosplan.report.html.thumbnails import HEIGHT, WIDTH
+from dosplan.report.scene import GOAL_COLOUR, KIND_COLOURS
+from dosplan.types import FloatArray, Score
+
+MOST_BYTES: Final = 4_900_000
+"""A page is no larger; episodes for which there is no room are listed, but not played."""
+
+_SCRIPTS: Final = ("codec.js", "draw.js", "player.js", "table.js", "main.js")
+_POLICY: Final = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{}'; img-src data:; "
+    "base-uri 'none'; form-action 'none'"
+)
+
+
+def build_page(
+    title: str,
+    facts: Mapping[str, str],
+    pairings: Sequence[Pairing],
+    links: Mapping[str, str] | None = None,
+) -> str:
+    """Builds a page.
+
+    Args:
+        title: Its heading.
+        facts: What was run, line by line: name and value.
+        pairings: What is shown, in order.
+        links: Further pages: addresses by their text.
+
+    Returns:
+        The HTML.
+    """
+    script = "(() => {\n'use strict';\n" + "\n".join(map(_static, _SCRIPTS)) + "\n})();"
+    examined = [(pairing, list(examine(pairing))) for pairing in pairings]
+    sections = [_section(pairing, cases) for pairing, cases in examined]
+    render = partial(
+        _template().render,
+        title=title,
+        facts=facts,
+        links=links or {},
+        sections=sections,
+        notes=_notes(examined),
+        outcomes=[(outcome.value, word) for outcome, word in OUTCOME_WORDS.items()],
+        faster=FASTER,
+        version=__version__,
+        policy=_POLICY.format(base64.b64encode(sha256(script.encode()).digest()).decode()),
+        style=Markup(_static("style.css")),  # noqa: S704 - a file of the package
+        script=Markup(script),  # noqa: S704 - likewise
+    )
+    # What is left of the room is known when all but the data is there.
+    room = MOST_BYTES - len(render(data="").encode())
+    page: str = render(data=Markup(_data(examined, room)))  # noqa: S704 - see _json
+    return page
+
+
+def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
+    """What the template shows of a pairing."""
+    names = [side.name for side in pairing.sides]
+    sides = range(len(names))
+    coverages = {name: findings.coverage_of(cases, side) for side, name in enumerate(names)}
+    return {
+        "title": pairing.title,
+        "names": names,
+        "paired": pairing.comparison is not None,
+        "n": len(cases),
+        "verdict": findings.verdict(pairing, cases),
+        "shortcuts": findings.shortcuts(cases, names),
+        "headline": findings.headline(pairing),
+        "cycles": findings.cycle_row(cases, len(names)),
+        "groups": [
+            ("Road kind", findings.groups(cases, lambda case: case.road_kind, len(names))),
+            ("Family", findings.groups(cases, lambda case: case.family, len(names))),
+        ],
+        "coverage": [
+            (names[side], rows) for side in sides if (rows := findings.coverage_rows(cases, side))
+        ],
+        "coverage_plot": Markup(coverage_plot(coverages)) if any(coverages.values()) else None,  # noqa: S704
+        "plots": _plots(pairing, cases),
+    }
+
+
+def _plots(pairing: Pairing, cases: Sequence[Case]) -> list[tuple[str, Markup]]:
+    names = [side.name for side in pairing.sides]
+
+    def column(name: str) -> dict[str, FloatArray]:
+        return {side.name: _values(side.rows.values(), name) for side in pairing.sides}
+
+    cycles = {name: findings.pooled_cycle_ms(cases, side) for side, name in enumerate(names)}
+    drawn = [
+        ("Mean velocity", histogram(column("velocity"), "m/s")),
+        (
+            "Largest longitudinal acceleration",
+            histogram(column("max_abs_acceleration"), "m/s²", bounds=[-MIN_ACCELERATION]),
+        ),
+        (
+            "Largest lateral acceleration",
+            histogram(
+                column("max_abs_lateral_acceleration"), "m/s²", bounds=[MAX_LATERAL_ACCELERATION]
+            ),
+        ),
+        (
+            "Largest longitudinal jerk",
+            histogram(column("max_abs_jerk"), "m/s³", bounds=[MAX_LONGITUDINAL_JERK]),
+        ),
+    ]
+    if any(len(times) for times in cycles.values()):
+        drawn.append(("Cycle time, predict and plan", histogram(cycles, "ms", log=True)))
+    return [(title, Markup(svg)) for title, svg in drawn]  # noqa: S704 - drawn by matplotlib
+
+
+def _values(rows: Iterable[Score], column: str) -> FloatArray:
+    import numpy as np
+
+    return np.array([getattr(row, column) for row in rows if row.steps], dtype=np.float64)
+
+
+def _notes(examined: Sequence[tuple[Pairing, Sequence[Case]]]) -> list[str]:
+    """What a reader has to know of what is missing."""
+    notes = []
+    for pairing, cases in examined:
+        if pairing.scenes.problem is not None:
+            notes.append(
+                "The scenario files were not found, so episodes are drawn without road and road "
+                f"users, and coverage is not known: {pairing.scenes.problem}"
+            )
+        lost = sum(case.payload is not None and not any(case.met) for case in cases)
+        if lost and pairing.scenes.problem is None:
+            notes.append(
+                f"{lost} of {len(cases)} episodes are drawn without road and road users: their "
+                "scenario files are gone, or are not those that were driven."
+            )
+        if len(cases) > MOST_EXAMINED:
+            notes.append(
+                f"{MOST_EXAMINED} of {len(cases)} scenarios can be played, those that differ or "
+                "failed first; coverage and cycle times are over them."
+            )
+    return list(dict.fromkeys(notes))
+
+
+def _data(examined: Sequence[tuple[Pairing, Sequence[Case]]], room: int) -> str:
+    """The block of JSON; episodes are put in as long as there is room, the urgent ones first."""
+    data: dict[str, Any] = {
+        "kinds": [[kind.value, KIND_COLOURS[kind]] for kind in KINDS],
+        "goal": GOAL_COLOUR,
+        "outcomes": {outcome.value: word for outcome, word in OUTCOME_WORDS.items()},
+        "thumbnail": [WIDTH, HEIGHT],
+        "faster": FASTER,
+        "sections": [
+            {"names": [side.name for side in pairing.sides], "cases": list(map(_row, cases))}
+            for pairing, cases in examined
+        ],
+    }
+    room -= len(_json(data))
+    for section, (_, cases) in zip(data["sections"], examined, strict=True):
+        for row, case in zip(section["cases"], cases, strict=True):
+            taken = len(f',"episode":"{case.payload}"')
+            if case.payload is not None and taken <= room:
+                row["episode"] = case.payload
+                room -= taken
+    return _json(data)
+
+
+def _row(case: Case) -> dict[str, Any]:
+    return {
+        "id": case.scenario,
+        "family": case.family,
+        "road": case.road_kind,
+        "change": case.change,
+        "thumb": case.thumbnail,
+        "sides": [
+            {
+                "outcome": row.outcome.value,
+                "fault": row.at_fault,
+                "velocity": round(row.velocity, 2) if row.steps else None,
+                "ttc": None
+                if row.min_time_to_collision is None
+                else round(row.min_time_to_collision, 2),
+                "p99": None if row.cycle_ms_p99 is None else round(row.cycle_ms_p99),
+                "why": why,
+            }
+            for row, why in zip(case.rows, case.why, strict=True)
+        ],
+    }
+
+
+def _json(value: Any) -> str:
+    """JSON that cannot end the element it stands in, whatever its texts hold."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c")
+
+
+def _static(name: str) -> str:
+    return files(__package__).joinpath("static", name).read_text(encoding="utf-8")
+
+
+@cache
+def _template() -> Any:
+    loader = PackageLoader(__package__, "static")
+    environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined)
+    environment.trim_blocks = environment.lstrip_blocks = True
+    return environment.get_template("page.html.jinja")

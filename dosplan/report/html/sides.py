@@ -1,0 +1,63 @@
+"""What a page is about: one arm of a run, or two that are laid over each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from dosplan.comparison import Comparison
+from dosplan.files import FileError
+from dosplan.recording import Recording, load_recording
+from dosplan.report.html.scenes import Scenes
+from dosplan.results import RunFolder
+from dosplan.types import Arm, Score
+
+
+@dataclass(frozen=True)
+class Side:
+    """One arm of one run.
+
+    Attributes:
+        name: What the page calls it.
+        folder: The run folder.
+        rows: Its rows by scenario.
+        arm: The arm.
+    """
+
+    name: str
+    folder: RunFolder
+    rows: Mapping[str, Score]
+    arm: Arm
+
+    def recording(self, scenario: str) -> Recording | None:
+        """Reads what an episode did.
+
+        Args:
+            scenario: Id of the scenario.
+
+        Returns:
+            The recording, or None where there is none that can be read.
+        """
+        try:
+            return load_recording(self.folder.recording(scenario, self.arm))
+        except FileError:  # It failed before it drove, or the folder holds rows only.
+            return None
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """What is drawn and listed together.
+
+    Attributes:
+        title: What is set beside what.
+        sides: One side, or two: the second is compared with the first.
+        comparison: The second against the first; None for one side.
+        scenarios: Ids of the scenarios, in the run's order.
+        scenes: Their scenario files.
+    """
+
+    title: str
+    sides: tuple[Side, ...]
+    comparison: Comparison | None
+    scenarios: tuple[str, ...]
+    scenes: Scenes

@@ -1,0 +1,256 @@
+// Drawing a moment of an episode on a canvas: metres in, pixels out; y points up in the scene.
+
+function poseAt(path, step, start) {
+  const last = path.x.length - 1;
+  const at = Math.min(Math.max(step - start, 0), last);
+  const i = Math.min(Math.floor(at), Math.max(last - 1, 0));
+  const part = last === 0 ? 0 : at - i;
+  const mix = (values) => values[i] + part * (values[Math.min(i + 1, last)] - values[i]);
+  return [mix(path.x), mix(path.y), mix(path.h)];
+}
+
+function latest(steps, step) {
+  let found = -1;
+  while (found + 1 < steps.length && steps[found + 1] <= step + 1e-6) found += 1;
+  return found;
+}
+
+function drawScene(context, size, view, episode, step, layers, palette) {
+  const ratio = size.ratio;
+  context.setTransform(1, 0, 0, 1, 0, 0);
+  context.fillStyle = palette.land;
+  context.fillRect(0, 0, size.width * ratio, size.height * ratio);
+  const scale = view.scale * ratio;
+  context.setTransform(
+    scale, 0, 0, -scale,
+    (size.width * ratio) / 2 - view.x * scale, (size.height * ratio) / 2 + view.y * scale,
+  );
+  const pixel = 1 / view.scale;
+  drawRoad(context, episode, pixel, palette);
+  if (layers.sets) drawSets(context, episode, step, layers, pixel, palette);
+  const touched = new Set(episode.sides.map((side, i) => side && layers.sides[i] && side.touched));
+  episode.users.forEach((user) => drawUser(context, user, step, touched.has(user.id), pixel, palette));
+  episode.sides.forEach((side, index) => {
+    if (side && layers.sides[index]) drawSide(context, episode, side, index, step, layers, pixel, palette);
+  });
+  drawBar(context, size, view, palette);
+}
+
+function trace(context, line) {
+  line.forEach(([x, y], i) => (i ? context.lineTo(x, y) : context.moveTo(x, y)));
+}
+
+function drawRoad(context, episode, pixel, palette) {
+  context.beginPath();
+  episode.road.forEach((ring) => { trace(context, ring); context.closePath(); });
+  context.fillStyle = palette.road;
+  context.fill("evenodd");
+  context.beginPath();
+  episode.lines.forEach((line) => trace(context, line));
+  context.strokeStyle = palette.marking;
+  context.lineWidth = Math.max(0.12, pixel);
+  context.stroke();
+  context.beginPath();
+  episode.goals.forEach((ring) => { trace(context, ring); context.closePath(); });
+  context.fillStyle = palette.goal;
+  context.globalAlpha = 0.28;
+  context.fill("evenodd");
+  context.globalAlpha = 1;
+  context.strokeStyle = palette.goal;
+  context.lineWidth = 1.5 * pixel;
+  context.stroke();
+}
+
+function drawSets(context, episode, step, layers, pixel, palette) {
+  const drawn = new Set();
+  episode.sides.forEach((side, index) => {
+    if (!side || !side.predictions || !layers.sides[index]) return;
+    const { block, points: asPoints } = side.predictions;
+    const name = `${block} ${asPoints}`;
+    if (drawn.has(name)) return;
+    drawn.add(name);
+    const predictions = episode.predictions[block];
+    const cycle = latest(predictions.steps, step);
+    if (cycle < 0) return;
+    const sets = predictions.cycles[cycle].slice().sort((p, q) => q[1] - p[1]);
+    for (const [, ahead, x, y, a, b, angle] of sets) {
+      const share = ahead / Math.max(predictions.offsets.length - 1, 1);
+      const colour = ramp(palette, share);
+      context.beginPath();
+      if (asPoints || a <= 0) {
+        context.arc(x, y, 2.2 * pixel, 0, 2 * Math.PI);
+        context.fillStyle = colour;
+        context.fill();
+      } else {
+        context.ellipse(x, y, a, b, angle, 0, 2 * Math.PI);
+        context.fillStyle = colour;
+        context.globalAlpha = 0.16;
+        context.fill();
+        context.globalAlpha = 0.9;
+        context.strokeStyle = colour;
+        context.lineWidth = pixel;
+        context.stroke();
+        context.globalAlpha = 1;
+      }
+    }
+  });
+}
+
+function drawBody(context, pose, length, width, outline, fill, edge, lineWidth) {
+  const [x, y, heading] = pose;
+  context.save();
+  context.translate(x, y);
+  context.rotate(heading);
+  context.beginPath();
+  if (outline) {
+    trace(context, outline);
+    context.closePath();
+  } else {
+    context.rect(-length / 2, -width / 2, length, width);
+  }
+  context.fillStyle = fill;
+  context.fill();
+  context.strokeStyle = edge;
+  context.lineWidth = lineWidth;
+  context.stroke();
+  context.beginPath();
+  trace(context, [[0.46 * length, 0], [0.18 * length, 0.36 * width], [0.18 * length, -0.36 * width]]);
+  context.closePath();
+  context.fillStyle = "rgb(255 255 255 / 80%)";
+  context.fill();
+  context.restore();
+}
+
+function drawUser(context, user, step, touched, pixel, palette) {
+  if (step < user.from || step > user.to) return;
+  const edge = touched ? palette.outcomes.collision : palette.ink;
+  const [length, width] = user.size;
+  drawBody(
+    context, poseAt(user, step, user.from), length, width, user.outline,
+    palette.kinds[user.kind], edge, (touched ? 3 : 0.7) * pixel,
+  );
+}
+
+function drawSide(context, episode, side, index, step, layers, pixel, palette) {
+  const colour = palette.sides[index];
+  const at = Math.min(Math.max(step - side.start, 0), side.x.length - 1);
+  const whole = Math.floor(at);
+  const pose = poseAt(side, step, side.start);
+  context.lineCap = "round";
+  context.lineJoin = "round";
+  if (layers.path) {
+    context.beginPath();
+    context.globalAlpha = 0.3;
+    trace(context, side.x.map((x, i) => [x, side.y[i]]));
+    context.strokeStyle = colour;
+    context.lineWidth = 1.5 * pixel;
+    context.stroke();
+    context.globalAlpha = 1;
+    context.beginPath();
+    trace(context, [...side.x.slice(0, whole + 1).map((x, i) => [x, side.y[i]]), pose]);
+    context.lineWidth = 3 * pixel;
+    context.stroke();
+  }
+  if (layers.plan && step - side.start < side.x.length - 1) drawPlan(context, side, step, pose, colour, pixel);
+  drawBody(context, pose, episode.ego[0], episode.ego[1], null, colour, palette.ink, 1.6 * pixel);
+  if (step - side.start >= side.moment) drawMoment(context, side, colour, pixel, palette);
+}
+
+function drawPlan(context, side, step, pose, colour, pixel) {
+  const cycle = latest(side.cycles, step);
+  if (cycle < 0) return;
+  context.beginPath();
+  trace(context, [pose, ...side.plans.map(([x, y]) => [x[cycle], y[cycle]])]);
+  context.setLineDash([5 * pixel, 4 * pixel]);
+  context.strokeStyle = colour;
+  context.lineWidth = 2 * pixel;
+  context.stroke();
+  context.setLineDash([]);
+  side.plans.forEach(([x, y]) => {
+    context.beginPath();
+    context.arc(x[cycle], y[cycle], 2.5 * pixel, 0, 2 * Math.PI);
+    context.fillStyle = colour;
+    context.fill();
+  });
+}
+
+// Where and how it ended: a cross for what went wrong, a ring for a goal.
+function drawMoment(context, side, colour, pixel, palette) {
+  const [x, y] = [side.x[side.moment], side.y[side.moment]];
+  const good = side.outcome === "success";
+  const reach = 13 * pixel;
+  for (const [style, width] of [[palette.paper, 7], [good ? palette.outcomes.success : palette.outcomes[side.outcome], 3.5]]) {
+    context.beginPath();
+    if (good) {
+      context.arc(x, y, reach * 1.25, 0, 2 * Math.PI);
+    } else {
+      trace(context, [[x - reach, y - reach], [x + reach, y + reach]]);
+      context.moveTo(x - reach, y + reach);
+      context.lineTo(x + reach, y - reach);
+    }
+    context.strokeStyle = style;
+    context.lineWidth = width * pixel;
+    context.stroke();
+  }
+}
+
+function drawBar(context, size, view, palette) {
+  const metres = [5, 10, 20, 50, 100].find((length) => length * view.scale > 60) || 100;
+  context.setTransform(size.ratio, 0, 0, size.ratio, 0, 0);
+  context.strokeStyle = palette.ink;
+  context.fillStyle = palette.ink;
+  context.lineWidth = 2;
+  context.beginPath();
+  trace(context, [[14, size.height - 14], [14 + metres * view.scale, size.height - 14]]);
+  context.stroke();
+  context.font = "12px system-ui, sans-serif";
+  context.fillText(`${metres} m`, 14, size.height - 20);
+}
+
+function drawSpeeds(context, size, episode, step, palette, span) {
+  const ratio = size.ratio;
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, size.width, size.height);
+  const sides = episode.sides.filter(Boolean);
+  const fastest = Math.max(5, ...sides.flatMap((side) => side.v));
+  const left = 26;
+  const x = (at) => left + ((at - episode.first) / Math.max(span, 1)) * (size.width - left - 4);
+  const y = (v) => size.height - 16 - (v / fastest) * (size.height - 26);
+  context.font = "11px system-ui, sans-serif";
+  context.fillStyle = palette.faint;
+  context.strokeStyle = palette.line;
+  context.lineWidth = 1;
+  for (const v of [0, fastest]) {
+    context.beginPath();
+    trace(context, [[left, y(v)], [size.width - 4, y(v)]]);
+    context.stroke();
+    context.fillText(v.toFixed(0), 4, y(v) + 4);
+  }
+  context.fillText("velocity, m/s", left, size.height - 3);
+  episode.sides.forEach((side, index) => {
+    if (!side) return;
+    context.beginPath();
+    trace(context, side.v.map((v, i) => [x(side.start + i), y(v)]));
+    context.strokeStyle = palette.sides[index];
+    context.lineWidth = 1.8;
+    context.stroke();
+  });
+  context.beginPath();
+  trace(context, [[x(step), 4], [x(step), size.height - 16]]);
+  context.strokeStyle = palette.ink;
+  context.lineWidth = 1;
+  context.stroke();
+}
+
+// Road users are toned down, so that the egos stand out whatever their kind's colour is.
+function toned(colour, grey) {
+  const [own, other] = [colour, grey].map((text) => [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16)));
+  return `rgb(${own.map((value, i) => Math.round(0.4 * value + 0.6 * other[i])).join(" ")})`;
+}
+
+function ramp(palette, share) {
+  const [low, high, part] = share < 0.5
+    ? [palette.near, palette.middle, 2 * share] : [palette.middle, palette.far, 2 * share - 1];
+  const mixed = low.map((value, i) => Math.round(value + part * (high[i] - value)));
+  return `rgb(${mixed.join(" ")})`;
+}

@@ -1,0 +1,33 @@
+// Puts the page together.
+
+const data = JSON.parse(document.getElementById("data").textContent);
+const player = makePlayer(document.getElementById("player"), data);
+document.querySelectorAll(".section").forEach((root, index) => {
+  makeTable(root, data.sections[index], data, player.open);
+});
+
+const root = document.documentElement;
+const dark = matchMedia("(prefers-color-scheme: dark)");
+function setTheme(theme) {
+  root.dataset.theme = theme;
+  player.draw();
+}
+setTheme(dark.matches ? "dark" : "light");
+dark.addEventListener("change", () => setTheme(dark.matches ? "dark" : "light"));
+document.getElementById("theme").addEventListener("click", () => {
+  setTheme(root.dataset.theme === "dark" ? "light" : "dark");
+});
+
+// A link to an episode: report.html#SCENARIO.
+function openLinked() {
+  const wanted = decodeURIComponent(location.hash.slice(1));
+  for (const section of data.sections) {
+    const index = section.cases.findIndex((row) => row.id === wanted && row.episode);
+    if (index >= 0) {
+      player.open(section.cases, index, section.names);
+      return;
+    }
+  }
+}
+addEventListener("hashchange", openLinked);
+openLinked();

@@ -1,0 +1,178 @@
+// The list of scenarios: sorted by a click on a heading, filtered by the form above it.
+
+function element(name, properties = {}) {
+  return Object.assign(document.createElement(name), properties);
+}
+
+function outcomeBadge(side, data) {
+  const badge = element("span", { className: "outcome" });
+  badge.append(element("i", { className: side.outcome }), data.outcomes[side.outcome]);
+  if (side.fault) badge.append(", at fault");
+  return badge;
+}
+
+function svg(name, attributes) {
+  const node = document.createElementNS("http://www.w3.org/2000/svg", name);
+  Object.entries(attributes).forEach(([key, value]) => node.setAttribute(key, value));
+  return node;
+}
+
+function thumbnail(thumb, [width, height]) {
+  const picture = svg("svg", { class: "thumb", width, height, viewBox: `0 0 ${width} ${height}`, "aria-hidden": "true" });
+  picture.append(svg("path", { class: "road", d: thumb.road }));
+  thumb.drives.forEach((drive, index) => {
+    if (drive) picture.append(svg("polyline", { class: `side-${index}`, points: drive }));
+  });
+  return picture;
+}
+
+function columnsOf(section, data) {
+  const number = (title, value, digits) => ({
+    title, value, number: true, cell: (row) => (value(row) === null ? "" : value(row).toFixed(digits)),
+  });
+  const each = (make) => section.names.map((name, index) => make(name, index));
+  const paired = section.names.length > 1;
+  return [
+    { title: "", cell: (row) => thumbnail(row.thumb, data.thumbnail) },
+    { title: "Scenario", value: (row) => row.id, cell: openButton },
+    { title: "Road", value: (row) => row.road, cell: (row) => row.road },
+    ...each((name, index) => ({
+      title: name, side: index, value: (row) => Object.keys(data.outcomes).indexOf(row.sides[index].outcome),
+      cell: (row) => outcomeBadge(row.sides[index], data),
+    })),
+    ...each((name, index) => ({
+      ...number("m/s", (row) => row.sides[index].velocity, 1), side: paired ? index : null, label: `mean velocity ${name}, m/s`,
+    })),
+    number("min TTC, s", (row) => least(row.sides.map((side) => side.ttc)), 1),
+    number("p99, ms", (row) => least(row.sides.map((side) => side.p99), -1), 0),
+    { title: "Why", value: (row) => whyOf(row, section), cell: (row) => whyOf(row, section), className: "why" },
+  ];
+}
+
+function least(values, sign = 1) {
+  const there = values.filter((value) => value !== null);
+  return there.length ? sign * Math.min(...there.map((value) => sign * value)) : null;
+}
+
+function whyOf(row, section) {
+  const paired = section.names.length > 1;
+  return row.sides
+    .map((side, index) => (side.why && paired ? `${section.names[index]}: ${side.why}` : side.why))
+    .filter(Boolean).join(" / ");
+}
+
+function openButton(row) {
+  return row.episode
+    ? element("button", { type: "button", className: "open", textContent: row.id })
+    : element("span", { textContent: row.id, title: "There is no recording of it in this page." });
+}
+
+const CHANGES = [
+  ["", "all scenarios"],
+  ["differs", "success differs"],
+  ["fixed", "fixed: only {1} succeeded"],
+  ["broken", "broken: only {0} succeeded"],
+  ["both failed", "both failed"],
+  ["failed", "any failure"],
+  ["faster", "faster: {1}"],
+  ["slower", "slower: {1}"],
+];
+
+function changed(row, wanted, faster) {
+  const [first, last] = [row.sides[0], row.sides[row.sides.length - 1]];
+  const gain = first.velocity === null || last.velocity === null ? 0 : last.velocity - first.velocity;
+  const verdicts = {
+    "": true,
+    differs: row.change === "fixed" || row.change === "broken",
+    failed: row.sides.some((side) => side.outcome !== "success"),
+    faster: gain >= faster,
+    slower: gain <= -faster,
+  };
+  return wanted in verdicts ? verdicts[wanted] : row.change === wanted;
+}
+
+function makeTable(root, section, data, open) {
+  const form = root.querySelector("form.filters");
+  const head = root.querySelector("table.cases thead");
+  const body = root.querySelector("table.cases tbody");
+  const columns = columnsOf(section, data);
+  const sorting = { column: null, down: false };
+  let shown = section.cases;
+
+  const alone = ["", "failed"];
+  const choices = section.names.length > 1 ? CHANGES : CHANGES.filter(([key]) => alone.includes(key));
+  form.elements.change.replaceChildren(...choices.map(([value, text]) => element("option", {
+    value, textContent: text.replace(/\{(\d)\}/, (_, side) => section.names[side]),
+  })));
+
+  const headings = element("tr");
+  columns.forEach((column, index) => {
+    const cell = element("th", { scope: "col" });
+    if (column.value) {
+      const button = element("button", { type: "button", textContent: column.title });
+      if (column.label) button.title = column.label;
+      if (column.side !== undefined && column.side !== null) {
+        button.prepend(element("i", { className: `key side-${column.side}` }));
+      }
+      button.addEventListener("click", () => {
+        sorting.down = sorting.column === index && !sorting.down;
+        sorting.column = index;
+        show();
+      });
+      cell.append(button);
+    }
+    headings.append(cell);
+  });
+  head.replaceChildren(headings);
+
+  const lines = new Map(section.cases.map((row) => {
+    const line = element("tr");
+    columns.forEach((column) => {
+      const cell = element("td", { className: column.number ? "number" : column.className || "" });
+      cell.append(column.cell(row));
+      line.append(cell);
+    });
+    line.addEventListener("click", () => row.episode && open(shown, shown.indexOf(row), section.names));
+    return [row, line];
+  }));
+
+  function keeps(row) {
+    const text = form.elements.text.value.trim().toLowerCase();
+    const words = [row.id, row.family, row.road, whyOf(row, section)].join(" ").toLowerCase();
+    return words.includes(text) && changed(row, form.elements.change.value, data.faster)
+      && row.sides.every((side, index) => {
+        const wanted = form.elements[`outcome-${index}`].value;
+        return !wanted || wanted === side.outcome;
+      });
+  }
+
+  function show() {
+    shown = section.cases.filter(keeps);
+    if (sorting.column !== null) {
+      const { value } = columns[sorting.column];
+      const sign = sorting.down ? -1 : 1;
+      shown.sort((a, b) => {
+        const [p, q] = [value(a), value(b)];
+        if (p === null || q === null) return (p === null) - (q === null); // Unknown ones come last.
+        return sign * (typeof p === "string" ? p.localeCompare(q, "en", { numeric: true }) : p - q);
+      });
+    }
+    [...headings.children].forEach((cell, index) => {
+      if (index === sorting.column) cell.setAttribute("aria-sort", sorting.down ? "descending" : "ascending");
+      else cell.removeAttribute("aria-sort");
+    });
+    body.replaceChildren(...shown.map((row) => lines.get(row)));
+    form.querySelector("output").textContent = `${shown.length} of ${section.cases.length}`;
+  }
+
+  root.querySelectorAll("[data-change]").forEach((button) => button.addEventListener("click", () => {
+    form.reset();
+    form.elements.change.value = button.dataset.change;
+    show();
+    root.querySelector(".list").scrollIntoView();
+    form.elements.change.focus({ preventScroll: true });
+  }));
+  form.addEventListener("input", show);
+  form.addEventListener("submit", (event) => event.preventDefault());
+  show();
+}

@@ -1,0 +1,128 @@
+"""Writes the page of a run, and that of a comparison of two."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import quote
+
+from dosplan.comparison import compare_rows, paired_sides
+from dosplan.files import write_text
+from dosplan.report.html.page import build_page
+from dosplan.report.html.scenes import find_scenes
+from dosplan.report.html.sides import Pairing, Side
+from dosplan.results import RunFolder, read_manifest, read_run
+from dosplan.types import Arm
+
+_ARM_NAMES: Final = {Arm.WITHOUT_DOS: "without DOS", Arm.WITH_DOS: "with DOS"}
+"""The arms in the order in which they are compared: with minus without."""
+
+
+def write_report(run: Path, out: Path | None = None, source: str | None = None) -> Path:
+    """Writes the page of a run.
+
+    Args:
+        run: A run folder.
+        out: The file; ``report.html`` in the folder if None.
+        source: Where the scenarios are now; where the run found them if None.
+
+    Returns:
+        The file.
+
+    Raises:
+        FileError: It is not the folder of a finished run, or the file cannot be written.
+    """
+    manifest, rows = read_run(run)
+    folder = RunFolder(run)
+    sides = tuple(
+        Side(name, folder, {row.scenario: row for row in rows if row.arm is arm}, arm)
+        for arm, name in _ARM_NAMES.items()
+        if arm in manifest["config"]["arms"]
+    )
+    pairing = _pairing("", sides, manifest, source)
+    title = f"{manifest['planner']} with {manifest['predictor']}"
+    path = folder.report if out is None else out
+    write_text(path, build_page(title, _facts(manifest), [pairing]))
+    return path
+
+
+def write_comparison(specs: Sequence[str], out: Path) -> Path:
+    """Writes the page that compares two runs, or the arms of one.
+
+    Args:
+        specs: As for ``dosplan.comparison.compare_runs``.
+        out: The file.
+
+    Returns:
+        The file.
+
+    Raises:
+        CompareError: The runs cannot be compared.
+        FileError: A run cannot be read, or the file cannot be written.
+    """
+    pairs = paired_sides(specs)
+    pairings, facts, links = [], {}, {}
+    for pair in pairs:
+        manifests = [read_manifest(RunFolder(side.path)) for side in pair]
+        sides = tuple(
+            Side(letter, RunFolder(side.path), {row.scenario: row for row in side.rows}, side.arm)
+            for letter, side in zip("AB", pair, strict=True)
+        )
+        title = ", ".join(f"{side.name}: {_ARM_NAMES[side.arm]}" for side in sides)
+        pairings.append(_pairing(title, sides, manifests[0], None))
+        for side, manifest in zip(sides, manifests, strict=True):
+            told = ", ".join(_facts(manifest).values())
+            facts[f"Run {side.name}"] = f"{side.folder.path}: {told}"
+            if side.folder.report.is_file():
+                links[f"Report of run {side.name}"] = _address(side.folder.report, out)
+    write_text(out, build_page("What changed from A to B", facts, pairings, links))
+    return out
+
+
+def _pairing(
+    title: str, sides: tuple[Side, ...], manifest: Mapping[str, Any], source: str | None
+) -> Pairing:
+    config = manifest["config"]
+    comparison = None
+    if len(sides) > 1:
+        a, b = sides
+        comparison = compare_rows([*a.rows.values()], [*b.rows.values()], a.name, b.name)
+    return Pairing(
+        title=title,
+        sides=sides,
+        comparison=comparison,
+        scenarios=tuple(sides[0].rows),
+        scenes=find_scenes(
+            str(config.get("source", "?")) if source is None else source,
+            cached=bool(config.get("cache", True)),
+        ),
+    )
+
+
+def _facts(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """What was run, for a reader who has the page alone."""
+    config = manifest["config"]
+    options = {
+        f"{plugin}.{name}": value
+        for plugin in ("planner", "predictor")
+        for name, value in config.get(f"{plugin}_options", {}).items()
+    }
+    facts = {
+        "Planner": manifest["planner"],
+        "Predictor": manifest["predictor"],
+        "Options": ", ".join(f"{name} = {value}" for name, value in options.items()),
+        "Scenarios": f"{len(manifest['scenarios'])} of {config.get('source', '')}",
+        "Seed": str(config.get("seed", "")),
+        "Started": str(manifest.get("started", "")),
+        "dosplan": f"{manifest['versions'].get('dosplan', '')} "
+        f"({str(manifest.get('git_revision'))[:12]})",
+        "Rank": "" if config.get("ranked", True) else "unranked: the predictor may see the future",
+    }
+    return {name: value for name, value in facts.items() if value}
+
+
+def _address(target: Path, page: Path) -> str:
+    """Relative address of a file from a page, so that both can be moved together."""
+    return quote(os.path.relpath(target.resolve(), page.resolve().parent))

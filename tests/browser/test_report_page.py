@@ -1,0 +1,157 @@
+"""The page in a real browser: no complaint, the filter filters, the player moves.
+
+Needs playwright (``pip install playwright``; its own browsers are not used) and a Chromium.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dosplan import cli
+from dosplan.cli import main
+from tests.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+playwright.expect.set_options(timeout=120_000)  # A busy machine is slow to draw.
+
+FAULTY = Path(__file__).parents[1] / "unit" / "faulty.py"
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
+LAPTOP = {"width": 1366, "height": 768}
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine"),
+]
+
+# In one go: on a busy machine the short drive would be over before a second key arrives.
+_PRESS_SPACE_TWICE = """[1, 2].map(() => {
+  document.activeElement.dispatchEvent(new KeyboardEvent("keydown", { key: " ", bubbles: true }));
+  return document.querySelector(".play").getAttribute("aria-label");
+})"""
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a free road and of one on which a car stands in the way."""
+    folder = tmp_path_factory.mktemp("pages")
+    goal = Goal(first_step=0, last_step=20, position=rectangle(6.0, 3.0, 28.0, 0.0))
+    for name, user in (
+        ("ZAM_Free-1_1_T-1", User(7, driving(60.0, 0.0, 10.0, 40))),
+        ("ZAM_Hit-1_1_T-1", User(8, driving(28.0, 0.0, 0.0, 40))),
+    ):
+        problems = [Problem(goals=(goal,))]
+        path = folder / "scenes" / f"{name}.xml"
+        path.parent.mkdir(exist_ok=True)
+        write_scenario_xml(path, users=[user], problems=problems, benchmark_id=name)
+    plugins = ["--planner", f"{FAULTY}:CoastPlanner", "--predictor", "growing-circle"]
+    out = ["--workers", "1", "--out", str(folder / "run")]
+    assert main(["run", str(folder / "scenes"), *plugins, *out]) == cli.OK
+    return folder / "run" / "report.html"
+
+
+@pytest.fixture
+def opened(report: Path) -> Iterator[Any]:
+    """The page; whatever the browser complains of fails the test."""
+    complaints: list[str] = []
+    with playwright.sync_playwright() as driver:
+        arguments = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        page = browser.new_page(viewport=LAPTOP, color_scheme="light")
+        page.set_default_timeout(120_000)
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda request: complaints.extend(_outside(request.url)))
+        page.goto(report.as_uri())
+        yield page
+        browser.close()
+    assert complaints == []
+
+
+def _outside(url: str) -> list[str]:
+    return [] if url.startswith(("file:", "data:", "blob:")) else [f"asked for {url}"]
+
+
+def _ids(page: Any) -> list[str]:
+    found: list[str] = page.locator("table.cases tbody .open").all_text_contents()
+    return found
+
+
+def _pixels(page: Any) -> str:
+    drawn: str = page.evaluate("document.querySelector('.stage > canvas').toDataURL()")
+    return drawn
+
+
+def test_the_filter_filters_and_the_headings_sort(opened: Any) -> None:
+    assert _ids(opened) == ["ZAM_Hit-1_1_T-1", "ZAM_Free-1_1_T-1"]
+    opened.get_by_role("button", name="Scenario").first.click()
+    assert _ids(opened) == ["ZAM_Free-1_1_T-1", "ZAM_Hit-1_1_T-1"]
+    opened.fill("input[type=search]", "which stood")
+    assert _ids(opened) == ["ZAM_Hit-1_1_T-1"]
+    opened.fill("input[type=search]", "")
+    opened.select_option("select[name=outcome-1]", "success")
+    assert _ids(opened) == ["ZAM_Free-1_1_T-1"]
+    opened.click("[data-change='both failed']")  # A way from the result; it clears the rest.
+    assert _ids(opened) == ["ZAM_Hit-1_1_T-1"]
+    assert opened.text_content(".filters output") == "1 of 2"
+
+
+def test_the_player_moves_and_obeys_the_keyboard(opened: Any) -> None:
+    opened.locator(".open", has_text="ZAM_Hit").focus()
+    opened.keyboard.press("Enter")
+    opened.wait_for_selector("dialog[open]")
+    # Not wait_for_function: it evaluates text, which the page's policy forbids.
+    playwright.expect(opened.locator(".clock")).not_to_contain_text("0.0 of")
+    opened.keyboard.press("Home")
+    assert opened.text_content(".clock").startswith("0.0 of 1.")
+    assert opened.evaluate(_PRESS_SPACE_TWICE) == ["Pause", "Play"]
+    first = _pixels(opened)
+    opened.keyboard.press("ArrowRight")
+    assert opened.text_content(".clock").startswith("0.1 of 1.")
+    assert _pixels(opened) != first
+    opened.keyboard.press("End")
+    assert "ran into car 8" in opened.text_content(".sides")
+    opened.keyboard.press("n")
+    playwright.expect(opened.locator("dialog h2")).to_have_text("ZAM_Free-1_1_T-1")
+    assert opened.url.endswith("#ZAM_Free-1_1_T-1")
+    opened.keyboard.press("Escape")
+    assert opened.locator("dialog[open]").count() == 0
+
+
+def test_layers_are_switched_off_one_by_one(opened: Any) -> None:
+    opened.emulate_media(reduced_motion="reduce")  # Opens without playing.
+    opened.locator(".open", has_text="ZAM_Hit").click()
+    opened.wait_for_selector("dialog[open]")
+    before = _pixels(opened)
+    for name in ("sets", "plan", "driven path", "without DOS", "with DOS"):
+        opened.get_by_label(name, exact=True).uncheck()
+        after = _pixels(opened)
+        # Both arms drive the same here, so that one may hide the other.
+        assert after != before or name == "without DOS"
+        before = after
+
+
+def test_light_and_dark_and_the_width_of_a_laptop(opened: Any) -> None:
+    def paper() -> str:
+        found: str = opened.evaluate("getComputedStyle(document.body).backgroundColor")
+        return found
+
+    light = paper()
+    opened.click("#theme")
+    dark = paper()
+    assert light != dark
+    opened.emulate_media(color_scheme="dark")
+    assert paper() == dark
+    width = opened.evaluate("document.documentElement.scrollWidth")
+    assert width <= LAPTOP["width"]
+
+
+def test_a_link_opens_its_episode(opened: Any, report: Path) -> None:
+    opened.goto("about:blank")
+    opened.goto(f"{report.as_uri()}#ZAM_Free-1_1_T-1")
+    opened.wait_for_selector("dialog[open]")
+    assert opened.text_content("dialog h2") == "ZAM_Free-1_1_T-1"

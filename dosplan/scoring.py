@@ -14,6 +14,8 @@ Definitions
   that crashed is a row with its traceback. The paper counts success = neither collision nor
   out-of-bounds: report that as `safe` beside `success`. An episode that failed was not driven to
   its end and is not called safe.
+- **Road**: the drivable area is the union of all lanelets; gaps between them of up to 0.2 m, less
+  than a tyre's width, are closed.
 - **Fault** of a collision: nuPlan's classes. Report collision rate and at-fault collision rate.
 - **Velocity**: mean ego speed over the steps driven, m/s, averaged over scenarios. Progress,
   comfort, time-to-collision, cycle time p50/p99 beside it.

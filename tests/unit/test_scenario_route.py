@@ -223,7 +223,7 @@ def test_junction(
     check_smooth(route, 0.25, 0.1)
     middle = (route.path[:, 0] > 15.0) & (np.abs(route.path[:, 1]) < 80.0)
     room = np.minimum(route.left, -route.right)[middle]
-    assert room.min() >= 0.5 * VEHICLE.width + 0.25
+    assert room.min() >= 0.5 * VEHICLE.width + 0.24
 
 
 def test_unreachable_goal_and_wrong_way_start_still_give_a_route() -> None:

@@ -3,11 +3,11 @@
     python results/planning/corner.py FILE...
 
 An exhaustive search, generous to the car: it drives forward in steps of 0.4 m along arcs of any
-steering angle, which may jump from step to step, speed and dynamics do not matter, and it begins
-12 m before the corner at any of 9 offsets and 5 headings. A pose is kept where the whole
-rectangle is on the drivable area, grown by the hairline that scoring overlooks; of the poses in a
-cell of 6 cm, 6 cm and 0.03 rad one is kept. Where no pose is left before the route is 8 m past
-the corner, the scenario asks the car to leave the road.
+steering angle, which may jump from step to step; speed and dynamics do not matter; it begins 12 m
+before the corner at any of 9 offsets and 5 headings. A pose is kept where the whole rectangle is
+on the drivable area, grown by the hairline that scoring overlooks, and the rear axle within 4 m
+of the route; of the poses in a cell of 6 cm, 6 cm and 0.03 rad one is kept. Where no pose is left
+before the route is 8 m past the corner, the car does not fit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dosplan.types import Scenario
 from dosplan.vehicle import VehicleParameters
 
 VEHICLE = VehicleParameters()
-STEP, BEFORE, BEYOND = 0.4, 12.0, 8.0  # m
+STEP, BEFORE, BEYOND, ASIDE = 0.4, 12.0, 8.0, 4.0  # m
 CELL = np.array([0.06, 0.06, 0.03])
 STEERING = np.linspace(-1.0, 1.0, 25) * VEHICLE.max_steering
 
@@ -54,6 +54,7 @@ def farthest(scenario: Scenario) -> tuple[float, float]:
         moved = np.repeat(poses, len(curvature), axis=0)
         middle = moved[:, 2] + 0.5 * STEP * bend
         moved += STEP * np.column_stack([np.cos(middle), np.sin(middle), bend])
+        moved = moved[shapely.dwithin(line, shapely.points(moved[:, :2]), ASIDE)]
         axis = np.column_stack([np.cos(moved[:, 2]), np.sin(moved[:, 2])])
         rectangles = np.column_stack([moved[:, :2] + VEHICLE.rear_to_centre * axis, moved[:, 2]])
         moved = moved[

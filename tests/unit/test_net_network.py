@@ -102,9 +102,14 @@ def test_the_answer_turns_with_the_scene(batch: RawBatch) -> None:
 
 
 def test_neighbours_and_map_matter_only_where_they_are_looked_at(batch: RawBatch) -> None:
-    for part, flag in (("neighbours", "use_neighbours"), ("pieces", "use_map")):
+    for part in ("neighbours", "pieces"):
         for used in (True, False):
-            network = tiny_network(config=replace(TINY, **{flag: used}))
+            config = (
+                replace(TINY, use_neighbours=used)
+                if part == "neighbours"
+                else replace(TINY, use_map=used)
+            )
+            network = tiny_network(config=config)
             scene = scene_of(network, batch)
             blind = replace(scene, **{part: torch.full_like(getattr(scene, part), -1)})
             gap = (run(network, scene)[0] - run(network, blind)[0]).abs().amax()

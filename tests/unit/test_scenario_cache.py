@@ -18,6 +18,7 @@ import shapely
 
 from dosplan.scenario import ScenarioRef, cache, find_scenarios, load_scenario
 from dosplan.scenario.cache import pack_scenario, unpack_scenario
+from dosplan.scenario.folders import cache_folder
 from dosplan.types import Scenario
 from tests.scenes import Goal, Problem, User, circle, driving, polygon, write_scenario_xml
 from tests.suite import ROWS, SUITE, each
@@ -223,12 +224,12 @@ def test_the_cache_drops_what_was_not_read_for_longest(
 def test_the_cache_is_where_the_environment_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DOSPLAN_CACHE", "/a/b")
     monkeypatch.setenv("XDG_CACHE_HOME", "/x")
-    assert cache.cache_folder() == Path("/a/b")
+    assert cache_folder() == Path("/a/b")
     monkeypatch.delenv("DOSPLAN_CACHE")
-    assert cache.cache_folder() == Path("/x/dosplan")
+    assert cache_folder() == Path("/x/dosplan")
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", "/home/somebody")
-    assert cache.cache_folder() == Path("/home/somebody/.cache/dosplan")
+    assert cache_folder() == Path("/home/somebody/.cache/dosplan")
 
 
 def test_an_entry_is_a_zip_of_plain_arrays(scene: Path, folder: Path) -> None:

@@ -7,11 +7,10 @@ The scenes are built in code (``dosplan.scenes``); no file is read.
 
 from __future__ import annotations
 
-import copy
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,15 +18,14 @@ import numpy as np
 from dosplan.api import NoPlanError, OraclePredictor, Planner, Predictor
 from dosplan.registry import failure_place, one_line
 from dosplan.scenes import busy_scenario, crowded_scenario, growing_sets, straight_scenario
-from dosplan.simulation import observe
-from dosplan.types import (
-    HISTORY_STEPS,
-    FloatArray,
-    Observation,
-    Occupancy,
-    Plan,
-    Scenario,
+from dosplan.trials import (
+    Trace,
+    another_future,
+    changed_fields,
+    drive_planner,
+    drive_predictor,
 )
+from dosplan.types import Observation, Occupancy, Scenario
 from dosplan.vehicle import VehicleParameters
 
 SEED = 7
@@ -35,8 +33,6 @@ HORIZON = 40
 SLOW_SECONDS = 2.0  # Median time of a call; a cycle of the benchmark is 0.1 s.
 MODEL_TOLERANCE = 0.05  # m, rad and m/s between a plan's states and those of the vehicle model.
 INPUT_TOLERANCE = 0.05  # rad/s and m/s2 beyond what the actuators deliver.
-
-_CYCLES = 3
 
 
 class _BrokenError(Exception):
@@ -83,21 +79,77 @@ class Report:
 
 
 @dataclass(frozen=True)
-class _Trace:
-    """What a plug-in did over a few cycles.
+class _Rule:
+    """A check that is still to be made.
 
     Attributes:
-        results: What it returned, cycle by cycle.
-        seconds: How long each call took, s.
-        touched: Fields of what it was handed that it changed.
+        name: What it checks.
+        holds: Returns when the plug-in is right, and raises when it is not.
+        advice: What to do where the plug-in itself raises.
     """
 
-    results: tuple[Any, ...]
-    seconds: tuple[float, ...]
-    touched: tuple[str, ...]
+    name: str
+    holds: Callable[[], object]
+    advice: str = ""
 
 
-_Drive = Callable[..., _Trace]
+_Drive = Callable[..., Trace]
+
+
+@dataclass(frozen=True)
+class Contract:
+    """The checks of one plug-in, to be made one by one.
+
+    Attributes:
+        plugin: Name of the plug-in.
+        factory: What makes it.
+        first: Checks up to the first that breaks, for the rest would break alike.
+        then: The rest.
+    """
+
+    plugin: str
+    factory: Callable[..., Any]
+    first: tuple[_Rule, ...]
+    then: tuple[_Rule, ...]
+
+    def check(self, name: str) -> Check:
+        """Makes one check.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            The result; nothing is raised for a broken plug-in.
+        """
+        (rule,) = (rule for rule in (*self.first, *self.then) if rule.name == name)
+        try:
+            rule.holds()
+        except _BrokenError as broken:
+            return Check(name, False, str(broken))
+        except (Exception, SystemExit) as error:
+            writes = "read-only" in str(error)
+            advice = "copy the array before you write to it" if writes else rule.advice
+            raised = f"raised {one_line(error)} ({failure_place(error, self.factory)})"
+            return Check(name, False, f"{raised}; {advice}" if advice else raised)
+        return Check(name, True)
+
+    def report(self, check: Callable[[str], Check]) -> Report:
+        """Makes all checks.
+
+        Args:
+            check: Makes one, by its name: ``self.check``, or that in a process of its own.
+
+        Returns:
+            The report.
+        """
+        results: list[Check] = []
+        for rule in self.first:
+            results.append(check(rule.name))
+            if not results[-1].ok:
+                break
+        else:
+            results.extend(check(rule.name) for rule in self.then)
+        return Report(self.plugin, tuple(results))
 
 
 def check_planner(factory: Callable[..., Planner]) -> Report:
@@ -109,29 +161,8 @@ def check_planner(factory: Callable[..., Planner]) -> Report:
     Returns:
         The report; nothing is raised for a broken planner.
     """
-
-    def build() -> Planner:
-        planner = factory(seed=SEED)
-        if not isinstance(planner, Planner):
-            raise _BrokenError("is no dosplan.api.Planner; inherit from it")
-        return planner
-
-    def drive(scenario: Scenario, **options: Any) -> _Trace:
-        return _drive_planner(build(), scenario, **options)
-
-    return _report(
-        factory,
-        (
-            ("constructs", build),
-            ("plans", lambda: drive(busy_scenario())),
-        ),
-        (
-            *_common_checks(build, drive, _drive_planner),
-            ("arms_agree_without_predictions", lambda: _arms_agree(drive)),
-            ("vehicle_model", lambda: _follows_model(drive(busy_scenario()))),
-            ("actuator_limits", lambda: _within_limits(drive(busy_scenario()))),
-        ),
-    )
+    contract = planner_contract(factory)
+    return contract.report(contract.check)
 
 
 def check_predictor(factory: Callable[..., Predictor]) -> Report:
@@ -144,6 +175,54 @@ def check_predictor(factory: Callable[..., Predictor]) -> Report:
     Returns:
         The report; nothing is raised for a broken predictor.
     """
+    contract = predictor_contract(factory)
+    return contract.report(contract.check)
+
+
+def planner_contract(factory: Callable[..., Planner]) -> Contract:
+    """Lists what a planner is checked for.
+
+    Args:
+        factory: As for ``check_planner``.
+
+    Returns:
+        The checks.
+    """
+
+    def build() -> Planner:
+        planner = factory(seed=SEED)
+        if not isinstance(planner, Planner):
+            raise _BrokenError("is no dosplan.api.Planner; inherit from it")
+        return planner
+
+    def drive(scenario: Scenario, **options: Any) -> Trace:
+        return drive_planner(build(), scenario, **options)
+
+    return Contract(
+        _name(factory),
+        factory,
+        (
+            _Rule("constructs", build),
+            _Rule("plans", lambda: drive(busy_scenario())),
+        ),
+        (
+            *_common_rules(build, drive, drive_planner),
+            _Rule("arms_agree_without_predictions", lambda: _arms_agree(drive)),
+            _Rule("vehicle_model", lambda: _follows_model(drive(busy_scenario()))),
+            _Rule("actuator_limits", lambda: _within_limits(drive(busy_scenario()))),
+        ),
+    )
+
+
+def predictor_contract(factory: Callable[..., Predictor]) -> Contract:
+    """Lists what a predictor is checked for.
+
+    Args:
+        factory: As for ``check_predictor``.
+
+    Returns:
+        The checks.
+    """
 
     def build(horizon: int = HORIZON) -> Predictor:
         predictor = factory(seed=SEED, horizon=horizon)
@@ -151,142 +230,57 @@ def check_predictor(factory: Callable[..., Predictor]) -> Report:
             raise _BrokenError("is no dosplan.api.Predictor; inherit from it")
         return predictor
 
-    def drive(scenario: Scenario, **options: Any) -> _Trace:
-        return _drive_predictor(build(), scenario, **options)
+    def drive(scenario: Scenario, **options: Any) -> Trace:
+        return drive_predictor(build(), scenario, **options)
 
-    return _report(
+    return Contract(
+        _name(factory),
         factory,
         (
-            ("constructs", build),
-            ("predicts", lambda: drive(busy_scenario())),
+            _Rule("constructs", build),
+            _Rule("predicts", lambda: drive(busy_scenario())),
         ),
         (
-            *_common_checks(build, drive, _drive_predictor),
-            ("one_step_horizon", lambda: _drive_predictor(build(1), busy_scenario())),
+            *_common_rules(build, drive, drive_predictor),
+            _Rule(
+                "one_step_horizon",
+                lambda: drive_predictor(build(1), busy_scenario()),
+                "predict as many steps as self.horizon says",
+            ),
         ),
     )
 
 
-def _common_checks(
+def _name(factory: Callable[..., Any]) -> str:
+    return str(getattr(factory, "name", getattr(factory, "__name__", repr(factory))))
+
+
+def _common_rules(
     build: Callable[[], Planner | Predictor], drive: _Drive, drive_one: _Drive
-) -> tuple[tuple[str, Callable[[], object]], ...]:
+) -> tuple[_Rule, ...]:
     return (
-        ("versioned_name", lambda: _versioned(build())),
-        ("deterministic", lambda: _deterministic(drive)),
-        ("reset_forgets", lambda: _forgets(build(), drive, drive_one)),
-        ("input_untouched", lambda: _keeps_input(drive(busy_scenario()))),
-        ("no_road_users", lambda: drive(straight_scenario())),
-        ("many_road_users", lambda: _copes(drive)),
-        ("short_history", lambda: drive(busy_scenario(), visible=1)),
-        ("time", lambda: _in_time(drive(busy_scenario()))),
+        _Rule("versioned_name", lambda: _versioned(build())),
+        _Rule("deterministic", lambda: _deterministic(drive)),
+        _Rule("reset_forgets", lambda: _forgets(build(), drive, drive_one)),
+        _Rule("future_unseen", lambda: _sees_no_future(build(), drive)),
+        _Rule("input_untouched", lambda: _keeps_input(drive(busy_scenario()))),
+        _Rule(
+            "no_road_users",
+            lambda: drive(straight_scenario()),
+            "where nobody is on the scene, the arrays of road users have no rows",
+        ),
+        _Rule(
+            "many_road_users",
+            lambda: _copes(drive),
+            "take any number of road users; here they are fifty",
+        ),
+        _Rule(
+            "short_history",
+            lambda: drive(busy_scenario(), visible=1),
+            "where Observation.valid is False, the past of a road user is NaN",
+        ),
+        _Rule("time", lambda: _in_time(drive(busy_scenario()))),
     )
-
-
-def _report(
-    factory: Callable[..., Any],
-    first: Sequence[tuple[str, Callable[[], object]]],
-    then: Sequence[tuple[str, Callable[[], object]]],
-) -> Report:
-    """Runs ``first`` up to the first that breaks, for the rest would break alike; then ``then``."""
-    plugin = getattr(factory, "name", getattr(factory, "__name__", repr(factory)))
-    results: list[Check] = []
-    for name, check in first:
-        results.append(_check(name, check, factory))
-        if not results[-1].ok:
-            break
-    else:
-        results.extend(_check(name, check, factory) for name, check in then)
-    return Report(str(plugin), tuple(results))
-
-
-def _check(name: str, check: Callable[[], object], factory: Callable[..., Any]) -> Check:
-    try:
-        check()
-    except _BrokenError as broken:
-        return Check(name, False, str(broken))
-    except (Exception, SystemExit) as error:
-        advice = "; copy the array before you write to it" if "read-only" in str(error) else ""
-        message = f"raised {one_line(error)} ({failure_place(error, factory)}){advice}"
-        return Check(name, False, message)
-    return Check(name, True)
-
-
-def _observation(
-    scenario: Scenario, driven: FloatArray, visible: int = HISTORY_STEPS
-) -> Observation:
-    """What is seen after some driving; road users have been on the scene for ``visible`` steps."""
-    step = scenario.task.start_step + len(driven) - 1
-    seen = observe(scenario, step, driven, HISTORY_STEPS)
-    valid = np.array(seen.valid)
-    valid[:, : HISTORY_STEPS - visible] = False
-    return replace(seen, valid=valid, states=np.where(valid[..., None], seen.states, np.nan))
-
-
-def _drive_planner(
-    planner: Planner,
-    scenario: Scenario,
-    *,
-    visible: int = HISTORY_STEPS,
-    sets: Callable[[Observation], Occupancy] = growing_sets,
-) -> _Trace:
-    """A few cycles in closed loop."""
-    vehicle = VehicleParameters()
-    planner.reset(scenario.task, scenario.road_map, vehicle)
-    driven = [np.array(scenario.task.start)]
-    plans: list[Plan] = []
-    seconds: list[float] = []
-    touched: list[str] = []
-    for _ in range(_CYCLES):
-        observation = _observation(scenario, np.stack(driven), visible)
-        occupancy = sets(observation)
-        before = copy.deepcopy((observation, occupancy))
-        plans.append(planner.plan(observation, occupancy))
-        seconds.append(planner.last_seconds)
-        for old, new in zip(before, (observation, occupancy), strict=True):
-            touched.extend(_differences(old, new))
-        applied = vehicle.clip_input(driven[-1], plans[-1].inputs[0], scenario.dt)
-        driven.append(vehicle.step(driven[-1], applied, scenario.dt))
-    return _Trace(tuple(plans), tuple(seconds), tuple(touched))
-
-
-def _drive_predictor(
-    predictor: Predictor, scenario: Scenario, *, visible: int = HISTORY_STEPS
-) -> _Trace:
-    """A few predictions of a scene that moves on; the ego stands."""
-    if isinstance(predictor, OraclePredictor):
-        predictor.reveal(scenario.tracks)
-    predictor.reset(scenario.task, scenario.road_map)
-    driven = np.repeat(scenario.task.start[None], _CYCLES, axis=0)
-    sets: list[Occupancy] = []
-    seconds: list[float] = []
-    touched: list[str] = []
-    for cycle in range(_CYCLES):
-        observation = _observation(scenario, driven[: cycle + 1], visible)
-        before = copy.deepcopy(observation)
-        sets.append(predictor.predict(observation))
-        seconds.append(predictor.last_seconds)
-        touched.extend(_differences(before, observation))
-    return _Trace(tuple(sets), tuple(seconds), tuple(touched))
-
-
-def _differences(one: Any, other: Any) -> list[str]:
-    """Names of the array fields in which two values of the same type differ."""
-    return [
-        f"{type(one).__name__}.{field.name}"
-        for field in fields(one)
-        if isinstance(getattr(one, field.name), np.ndarray)
-        and not np.array_equal(
-            getattr(one, field.name),
-            getattr(other, field.name),
-            equal_nan=getattr(one, field.name).dtype.kind == "f",
-        )
-    ]
-
-
-def _changed(one: _Trace, other: _Trace) -> list[str]:
-    """Array fields in which the results of two drives differ."""
-    pairs = zip(one.results, other.results, strict=True)
-    return sorted({name for a, b in pairs for name in _differences(a, b)})
 
 
 # Checks.
@@ -301,7 +295,7 @@ def _versioned(plugin: Planner | Predictor) -> None:
 
 
 def _deterministic(drive: _Drive) -> None:
-    if changed := _changed(drive(busy_scenario()), drive(busy_scenario())):
+    if changed := changed_fields(drive(busy_scenario()), drive(busy_scenario())):
         raise _BrokenError(
             f"two instances with the same seed differ in {', '.join(changed)}; draw every "
             "random number from a generator made from seed"
@@ -310,14 +304,25 @@ def _deterministic(drive: _Drive) -> None:
 
 def _forgets(used: Planner | Predictor, drive: _Drive, drive_one: _Drive) -> None:
     drive_one(used, busy_scenario(velocity=4.0))
-    if changed := _changed(drive(busy_scenario()), drive_one(used, busy_scenario())):
+    if changed := changed_fields(drive(busy_scenario()), drive_one(used, busy_scenario())):
         raise _BrokenError(
             f"after another episode, a scene gives another {', '.join(changed)}; "
             "prepare() must clear what an episode left behind"
         )
 
 
-def _keeps_input(trace: _Trace) -> None:
+def _sees_no_future(plugin: Planner | Predictor, drive: _Drive) -> None:
+    if isinstance(plugin, OraclePredictor):
+        return
+    scenario = busy_scenario()
+    if changed := changed_fields(drive(scenario), drive(another_future(scenario))):
+        raise _BrokenError(
+            f"with another future, the same past gives another {', '.join(changed)}; use nothing "
+            "but what it is handed, or be a dosplan.api.OraclePredictor"
+        )
+
+
+def _keeps_input(trace: Trace) -> None:
     if trace.touched:
         raise _BrokenError(
             f"changed {', '.join(sorted(set(trace.touched)))}; work on copies of what it is handed"
@@ -329,7 +334,7 @@ def _copes(drive: _Drive) -> None:
         drive(crowded_scenario())
 
 
-def _in_time(trace: _Trace) -> None:
+def _in_time(trace: Trace) -> None:
     median = float(np.median(trace.seconds))
     if median > SLOW_SECONDS:
         raise _BrokenError(
@@ -345,14 +350,14 @@ def _arms_agree(drive: _Drive) -> None:
 
     with_sets = drive(busy_scenario(), sets=nobody)
     without = drive(busy_scenario(), sets=lambda observation: nobody(observation).without_sets())
-    if changed := _changed(with_sets, without):
+    if changed := changed_fields(with_sets, without):
         raise _BrokenError(
             f"with nobody predicted, the two arms differ in {', '.join(changed)}; leave out road "
             "users and steps where Occupancy.valid is False"
         )
 
 
-def _follows_model(trace: _Trace) -> None:
+def _follows_model(trace: Trace) -> None:
     vehicle, dt = VehicleParameters(), straight_scenario().dt
     for plan in trace.results:
         state = plan.states[0]
@@ -366,7 +371,7 @@ def _follows_model(trace: _Trace) -> None:
                 )
 
 
-def _within_limits(trace: _Trace) -> None:
+def _within_limits(trace: Trace) -> None:
     vehicle, dt = VehicleParameters(), straight_scenario().dt
     for plan in trace.results:
         for step, (state, u) in enumerate(zip(plan.states[:-1], plan.inputs, strict=True)):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import threading
 from typing import TYPE_CHECKING
 
-from dosplan.commands import FAILED, OK
+from dosplan.commands import FAILED, OK, CommandError
 from dosplan.commands.common import PLUGIN_HELP, add_json, show
 
 if TYPE_CHECKING:
@@ -25,6 +26,13 @@ class CheckCommand:
         """
         add_json(parser)
         parser.add_argument("name", metavar="NAME", help=PLUGIN_HELP)
+        parser.add_argument(
+            "--timeout",
+            type=float,
+            default=300.0,
+            metavar="S",
+            help="seconds after which a check counts as hung (default: %(default)g)",
+        )
 
     def run(self, options: argparse.Namespace) -> int:
         """Checks, and shows every check.
@@ -36,12 +44,15 @@ class CheckCommand:
             0; 1 where a check failed.
 
         Raises:
+            CommandError: The time-out is not positive.
             RegistryError: There is no such plug-in.
             FileError: A file cannot be written.
         """
         from dosplan.report.tables import table
 
-        report = _report(options.name)
+        if not 0.0 < options.timeout < threading.TIMEOUT_MAX:
+            raise CommandError(f"--timeout is {options.timeout:g}; it must be a time above 0 s")
+        report = _report(options.name, options.timeout)
         rows = [
             [check.name, "ok" if check.ok else "FAILED", check.message] for check in report.checks
         ]
@@ -56,24 +67,18 @@ class CheckCommand:
         return OK if report.ok else FAILED
 
 
-def _report(spec: str) -> Report:
+def _report(spec: str, limit: float) -> Report:
     """The checks of a planner or predictor, whichever has the name."""
-    from dosplan.conformance import check_planner, check_predictor
-    from dosplan.registry import (
-        PluginKind,
-        RegistryError,
-        find_planner,
-        find_predictor,
-        list_plugins,
-    )
+    from dosplan.isolated_check import check_isolated
+    from dosplan.registry import PluginKind, RegistryError, list_plugins
 
     named = [k for k in PluginKind if spec in {plugin.name for plugin in list_plugins(k)}]
     complaints = []
     for kind in named or PluginKind:
         try:
-            if kind is PluginKind.PLANNER:
-                return check_planner(find_planner(spec))
-            return check_predictor(find_predictor(spec))
+            return check_isolated(kind, spec, limit)
         except RegistryError as error:
+            if error.__cause__ is not None:  # What cannot be imported is no other kind, either.
+                raise
             complaints.append(str(error))
     raise RegistryError("; ".join(complaints))

@@ -28,7 +28,7 @@ def file_name(name: str) -> str:
     Returns:
         A name without folder and ending; two texts do not have the same one.
     """
-    data = name.encode(errors="surrogateescape")  # It may be that of a file name.
+    data = name.encode(errors="surrogatepass")  # It may be that of a file name.
     safe = quote(data, safe="@")
     if len(safe) <= _LONGEST_NAME:
         return safe
@@ -96,12 +96,12 @@ def write_text(path: Path, text: str) -> None:
 
     Args:
         path: The file.
-        text: What to write.
+        text: What to write; what UTF-8 cannot hold (of a file name, say) becomes a "?".
 
     Raises:
         FileError: It cannot be written.
     """
-    write_bytes(path, text.encode())
+    write_bytes(path, text.encode(errors="replace"))
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -9,7 +9,6 @@ the ego and for every fifth predicted step.
 from __future__ import annotations
 
 import io
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,12 +19,27 @@ import numpy as np
 import numpy.typing as npt
 
 from dosplan.files import FileError
-from dosplan.types import Arm, BoolArray, Episode, EpisodeEnd, FloatArray, IntArray, Occupancy
+from dosplan.registry import one_line
+from dosplan.types import (
+    EGO_SIZE,
+    Arm,
+    BoolArray,
+    Episode,
+    EpisodeEnd,
+    FloatArray,
+    IntArray,
+    Occupancy,
+)
 from dosplan.vehicle import VehicleParameters
 
 KEPT_EVERY: Final = 5  # Predicted steps 5, 10, 15, ... are kept.
 NEARBY_METRES: Final = 60.0  # Sets of road users farther from the ego than this are left out.
 _GRAIN: Final = 64.0  # A power of two: rounding zeroes the mantissa's tail, which compresses.
+
+_OF_A_CYCLE: Final = (
+    "cycle_steps", "predict_ms", "plan_ms", "status", "iterations", "slack", "road_slack",
+    "fallback",
+)  # fmt: skip
 
 _FloatArray32 = npt.NDArray[np.float32]
 
@@ -150,7 +164,7 @@ def load_recording(path: Path) -> Recording:
         road_slack = arrays.get("road_slack", np.full(cycles, np.nan))
         active_ids = arrays.get("active_ids", np.empty(0, dtype=np.int64))
         active_counts = arrays.get("active_counts", np.zeros(cycles, dtype=np.int32))
-        return Recording(
+        recording = Recording(
             scenario_id=str(arrays["scenario_id"]),
             arm=Arm(str(arrays["arm"])),
             start_step=int(arrays["start_step"]),
@@ -178,6 +192,8 @@ def load_recording(path: Path) -> Recording:
             set_semi_axes=arrays["set_semi_axes"].astype(np.float64),
             set_angles=arrays["set_angles"].astype(np.float64),
         )
+        _check(recording)
+        return recording
 
 
 def load_cycle_ms(path: Path) -> FloatArray:
@@ -193,7 +209,10 @@ def load_cycle_ms(path: Path) -> FloatArray:
         FileError: The file is missing or is not such a file.
     """
     with _opened(path) as file:
-        return np.asarray(file["predict_ms"].astype(np.float64) + file["plan_ms"])
+        times = np.asarray(file["predict_ms"].astype(np.float64) + file["plan_ms"])
+        if times.ndim != 1 or not np.all(np.isfinite(times)):
+            raise ValueError("predict_ms and plan_ms are no times")
+        return times
 
 
 @contextmanager
@@ -204,8 +223,39 @@ def _opened(path: Path) -> Iterator[Any]:
             yield file
     except FileNotFoundError:
         raise FileError(f"{path} is missing") from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise FileError(f"{path} is not an episode file of this version: {error}") from None
+    except Exception as error:  # What a damaged archive raises is not foreseeable.
+        raise FileError(
+            f"{path} is not an episode file of this version: {one_line(error)}"
+        ) from None
+
+
+def _check(recording: Recording) -> None:
+    """Raises where arrays do not fit each other, or what is no number is where one has to be."""
+    steps, cycles = len(recording.inputs), len(recording.cycle_steps)
+    sets, offsets = len(recording.set_ids), len(recording.set_offsets)
+    shapes = {
+        "states": (steps + 1, EGO_SIZE),
+        "inputs": (steps, 2),
+        **dict.fromkeys(_OF_A_CYCLE, (cycles,)),
+        "plan_centres": (cycles, recording.plan_centres.shape[1], 2),
+        "set_cycle": (sets,),
+        "set_ids": (sets,),
+        "set_offsets": (offsets,),
+        "set_centres": (sets, offsets, 2),
+        "set_semi_axes": (sets, offsets, 2),
+        "set_angles": (sets, offsets),
+    }
+    for name, shape in shapes.items():
+        if (found := np.shape(getattr(recording, name))) != shape:
+            raise ValueError(f"{name} has shape {found}, expected {shape}")
+    for name in ("states", "inputs", "predict_ms", "plan_ms"):
+        if not np.all(np.isfinite(getattr(recording, name))):
+            raise ValueError(f"{name} holds what is no number")
+    driven = recording.cycle_steps - recording.start_step
+    if np.any(np.diff(driven) <= 0) or np.any((driven < 0) | (driven > steps)):
+        raise ValueError("cycle_steps are not steps of the episode, in their order")
+    if np.any((recording.set_cycle < 0) | (recording.set_cycle >= cycles)):
+        raise ValueError("set_cycle names cycles that are not there")
 
 
 def _grain(values: FloatArray) -> _FloatArray32:

@@ -152,7 +152,11 @@ def one_line(error: BaseException) -> str:
     Returns:
         ``Type: message``, line breaks turned into blanks.
     """
-    return " ".join(f"{type(error).__name__}: {error}".split())
+    try:
+        text = f"{type(error).__name__}: {error}"
+    except Exception:  # Not even its message can be had.
+        text = f"{type(error).__name__} without a message"
+    return " ".join(text.split())
 
 
 def failure_place(error: BaseException, plugin: object) -> str:
@@ -202,11 +206,11 @@ def _find(spec: str, kind: PluginKind, options: Collection[str]) -> Any:
         module = (
             _load_file(location) if location.endswith(".py") else importlib.import_module(location)
         )
+        found = getattr(module, attribute, None)  # A module may have its own way to answer this.
     except (Exception, SystemExit) as error:  # A plug-in's import may raise anything.
         raise RegistryError(
             f"{kind.word} {spec!r} cannot be imported: {one_line(error)}"
         ) from error
-    found = getattr(module, attribute, None)
     if found is None:
         names = [name for name, value in vars(module).items() if _is_plugin(value, kind)]
         hint = _suggest(attribute, names)

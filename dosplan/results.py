@@ -19,6 +19,7 @@ How the figures of the summary are averaged:
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, fields
 from itertools import product
@@ -204,7 +205,7 @@ def read_rows(path: Path) -> list[Score]:
     for number, line in enumerate(lines, start=1):
         try:
             rows.append(_score(json.loads(line, parse_constant=_refuse)))
-        except (ValueError, TypeError, KeyError, RecursionError) as error:
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
             raise FileError(
                 f"{path}, line {number}, is not a row of this version ({error}); "
                 "delete the line to have its episode driven again"
@@ -337,8 +338,10 @@ def _score(row: Any) -> Score:
     for name, value in values.items():
         # A float without decimals may stand as an integer in JSON.
         candidates = (value, float(value)) if type(value) is int else (value,)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"{name} is too large a number")
         if not any(isinstance(candidate, _COLUMNS[name]) for candidate in candidates):
-            raise ValueError(f"{name} is {value!r}")
+            raise ValueError(f"{name} is {value!r:.100}")
     return Score(**values)
 
 

@@ -204,19 +204,18 @@ def _add_how_to_drive(parser: argparse.ArgumentParser) -> None:
 
 def _setting(text: str) -> Setting:
     """``PLUGIN.NAME=VALUE`` as its three parts."""
-    import yaml
+    from dosplan.yaml_text import YamlError, parse_yaml
 
     key, equals, value = text.partition("=")
     plugin, _, name = key.partition(".")
     if plugin not in ("planner", "predictor") or not name.isidentifier() or not equals:
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not of the form planner.NAME=VALUE or predictor.NAME=VALUE"
+            f"{text!r:.100} is not of the form planner.NAME=VALUE or predictor.NAME=VALUE"
         )
     try:
-        return plugin, name, yaml.safe_load(value)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise argparse.ArgumentTypeError(f"{text!r}: the value is not YAML: {reason}") from None
+        return plugin, name, parse_yaml(value)
+    except YamlError as error:
+        raise argparse.ArgumentTypeError(f"{key!r}: the value {error}") from None
 
 
 def _chosen(settings: list[Setting], plugin: str) -> dict[str, Any]:

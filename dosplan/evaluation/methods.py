@@ -18,11 +18,10 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 
-import yaml
-
 from dosplan.api import Predictor
 from dosplan.evaluation.windows import STEPS
 from dosplan.registry import RegistryError, create_predictor
+from dosplan.yaml_text import YamlError, parse_yaml
 
 _KEYS: Final = ("label", "predictor", "options")
 
@@ -59,10 +58,12 @@ def read_methods(path: Path) -> list[Method]:
         MethodError: It cannot be read or is not such a list.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = parse_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise MethodError(f"cannot read {path}: {error.strerror or error}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except YamlError as error:
+        raise MethodError(f"{path} {error}") from None
+    except UnicodeDecodeError as error:
         raise MethodError(f"{path} is not YAML: {error}") from None
     if not isinstance(content, list) or not content:
         raise MethodError(f"{path}: expected a list of methods, each with {', '.join(_KEYS)}")

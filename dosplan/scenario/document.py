@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gzip
 import io
-import re
 import zlib
 from collections import Counter
 from collections.abc import Callable
@@ -23,7 +22,10 @@ VERSIONS: Final = ("2018b", "2020a")
 SUFFIXES: Final = (".xml", ".xml.gz")
 MAX_BYTES: Final = 512 * 1024 * 1024
 
-_NOT_FINITE: Final = re.compile(r"\s*[+-]?(?:nan|inf|infinity)\s*", re.IGNORECASE)
+MAX_NUMBER: Final = 1e9
+"""Largest number that a file may hold; what is larger is no length, step or speed."""
+MAX_ANGLE: Final = 1e3
+"""Largest orientation, rad; commonroad-io turns it back by one turn at a time."""
 _DOCTYPE: Final = "it has a document type (DOCTYPE), which is refused; remove the declaration"
 
 
@@ -207,7 +209,8 @@ def _objection(root: ElementTree.Element) -> str | None:
     version = root.get("commonRoadVersion")
     lanelets = Counter(lanelet.get("id") for lanelet in root.findall("lanelet"))
     repeated = [str(name) for name, times in lanelets.items() if times > 1]
-    not_finite = [x for x in root.iter() if x.text and _NOT_FINITE.fullmatch(x.text)]
+    not_finite = [x for x in root.iter() if not _size(x) <= MAX_NUMBER]
+    turned = [x for angle in root.iter("orientation") for x in angle.iter()]
     checks = (
         (root.tag != "commonRoad", f"is a <{root.tag}>, not a CommonRoad scenario"),
         (
@@ -224,11 +227,45 @@ def _objection(root: ElementTree.Element) -> str | None:
         ),
         (
             bool(not_finite),
-            f"holds {len(not_finite)} values that are not finite numbers "
+            f"holds {len(not_finite)} values that are not finite numbers up to {MAX_NUMBER:g} "
             f"(first in <{not_finite[0].tag if not_finite else ''}>); correct them",
+        ),
+        (
+            any(_size(x) > MAX_ANGLE for x in turned),
+            f"holds an <orientation> of more than {MAX_ANGLE:g} rad; correct it",
+        ),
+        (
+            _goes_round(root, "adjacentLeft") or _goes_round(root, "adjacentRight"),
+            "has lanelets that are each other's neighbours on the same side; correct them",
         ),
     )
     return next((message for applies, message in checks if applies), None)
+
+
+def _size(element: ElementTree.Element) -> float:
+    """The absolute value of the number in an element, 0 where it holds none."""
+    try:
+        return abs(float(element.text or ""))
+    except ValueError:
+        return 0.0
+
+
+def _goes_round(root: ElementTree.Element, side: str) -> bool:
+    """Whether the way from neighbour to neighbour leads back; commonroad-io follows it for ever."""
+    beside = {
+        lanelet.get("id"): neighbour.get("ref")
+        for lanelet in root.iterfind("lanelet")
+        if (neighbour := lanelet.find(side)) is not None and neighbour.get("drivingDir") == "same"
+    }
+    while beside:
+        begun, here = beside.popitem()
+        way = {begun}
+        while here in beside:
+            way.add(here)
+            here = beside.pop(here)
+        if here in way:
+            return True
+    return False
 
 
 def _complete(path: Path, root: ElementTree.Element) -> tuple[bool, dict[int, frozenset[str]]]:

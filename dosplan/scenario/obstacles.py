@@ -47,6 +47,8 @@ _VEHICLES: Final = frozenset(
         RoadUserKind.PARKED,
     }
 )
+MAX_STATES: Final = 10_000_000
+"""Most states, steps times road users, of a recording: 277 road users for an hour."""
 _MOVED: Final = 0.05
 """Distance, m, below which a displacement says nothing about the heading."""
 
@@ -157,15 +159,28 @@ def read_tracks(
 
     Returns:
         The tracks. A static obstacle is there at every step, at rest.
+
+    Raises:
+        ValueError: A road user has no size, or there are more than ``MAX_STATES`` states.
     """
     dt = STEP_SECONDS * resampling.times / resampling.every
     moving = [_recorded(o, derived.get(o.obstacle_id, frozenset()), dt) for o in _dynamic(scenario)]
     needed = -(-last_step * resampling.every // resampling.times) + 1
     length = max([needed, *(int(steps[-1]) + 1 for steps, _ in moving)])
+    obstacles = [*_dynamic(scenario), *_static(scenario)]
+    if length * resampling.times * max(len(obstacles), 1) > MAX_STATES:
+        raise ValueError(
+            f"has {len(obstacles)} obstacles at up to {length} steps, more than {MAX_STATES} "
+            "states; split it"
+        )
+    bodies = [body(o.obstacle_shape) for o in obstacles]
+    for obstacle, (_, size, _) in zip(obstacles, bodies, strict=True):
+        if not np.all(size > 0.0):
+            raise ValueError(
+                f"obstacle {obstacle.obstacle_id} is {size[0]:g} m by {size[1]:g} m; correct it"
+            )
     dynamic = [_on_grid(steps, rows, length) for steps, rows in moving]
     static = [np.tile(_at_rest(o), (length, 1)) for o in _static(scenario)]
-    obstacles = [*_dynamic(scenario), *_static(scenario)]
-    bodies = [body(o.obstacle_shape) for o in obstacles]
     states = np.array([*dynamic, *static]).reshape(len(obstacles), length, USER_SIZE)
     for row, (pose, _, _) in zip(states, bodies, strict=True):
         row[:, :3] = moved(pose, row[:, :3])

@@ -96,4 +96,6 @@ def _speed_limit(network: Any, lanelet: Any) -> float | None:
         for element in sign.traffic_sign_elements
         if element.traffic_sign_element_id.name == "MAX_SPEED" and element.additional_values
     ]
+    if any(limit < 0.0 for limit in limits):
+        raise ValueError(f"lanelet {lanelet.lanelet_id} has a speed limit below zero; correct it")
     return min(limits, default=None)

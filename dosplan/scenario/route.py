@@ -105,7 +105,7 @@ class LaneGraph:
         Where a lanelet ends without a successor, a neighbour's road counts.
         """
         lengths = {name: min(self.centres[name].length, limit) for name in self.ids}
-        reach = dict(lengths)
+        reach = {**lengths, **dict.fromkeys(self._endless(), limit)}
         changed = True
         while changed:
             changed = False
@@ -118,6 +118,18 @@ class LaneGraph:
                 if best > reach[name] + 1e-6:
                     reach[name], changed = best, True
         return reach
+
+    def _endless(self) -> set[int]:
+        """Ids of the lanelets that lead back to themselves, over a successor at least."""
+        graph = nx.DiGraph()
+        for name, lanelet in self.lanelets.items():
+            graph.add_edges_from((name, n) for n in lanelet.successors or neighbours(lanelet))
+        return {
+            name
+            for circle in nx.strongly_connected_components(graph)
+            if any(not circle.isdisjoint(self.lanelets[name].successors) for name in circle)
+            for name in circle
+        }
 
 
 def neighbours(lanelet: Lanelet) -> Iterator[int]:

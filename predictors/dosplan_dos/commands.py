@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, Final
 
 from dosplan.commands import CommandError
@@ -253,19 +254,19 @@ def _say(line: str) -> None:
 def _read(path: Path, kind: Any) -> Any:
     """A configuration file as a dataclass."""
     import dacite
-    import yaml
 
+    from dosplan.yaml_text import parse_yaml
     from dosplan_dos.shapes import Variant
 
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
+        content = parse_yaml(path.read_text(encoding="utf-8")) or {}
         if not isinstance(content, dict):
             raise ValueError("not a list of options and their values")
         # YAML reads 1e-3 as text, and 1 is a fine value where 1.0 is meant.
         config = dacite.Config(strict=True, cast=[Variant], type_hooks={float: float})
         return dacite.from_dict(kind, content, config)
-    except (OSError, yaml.YAMLError, dacite.DaciteError, ValueError, TypeError) as error:
-        raise CommandError(f"{path}: {' '.join(str(error).split())}") from None
+    except (OSError, dacite.DaciteError, ValueError, TypeError, OverflowError) as error:
+        raise CommandError(f"{path}: {shorten(str(error), 300, placeholder=' ...')}") from None
 
 
 DATA: Final = DataCommand()

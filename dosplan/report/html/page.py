@@ -78,7 +78,7 @@ def build_page(
         script=Markup(script),  # noqa: S704 - likewise
     )
     # What is left of the room is known when all but the data is there.
-    room = MOST_BYTES - len(render(data="").encode())
+    room = MOST_BYTES - len(render(data="").encode(errors="replace"))
     page: str = render(data=Markup(_data(examined, room)))  # noqa: S704 - see _json
     return page
 

@@ -34,7 +34,8 @@ def to_polars(rows: Iterable[Score]) -> polars.DataFrame:
     """
     library = _imported("polars")
     schema = {name: getattr(library, _POLARS[kind]) for name, kind in _columns().items()}
-    return library.DataFrame(_records(rows), schema=schema)
+    frame: polars.DataFrame = library.DataFrame(_records(rows), schema=schema)
+    return frame
 
 
 def to_pandas(rows: Iterable[Score]) -> pandas.DataFrame:
@@ -52,7 +53,8 @@ def to_pandas(rows: Iterable[Score]) -> pandas.DataFrame:
     library = _imported("pandas")
     columns = _columns()
     frame = library.DataFrame(_records(rows), columns=list(columns))
-    return frame.astype({name: _PANDAS[kind] for name, kind in columns.items()})
+    typed: pandas.DataFrame = frame.astype({name: _PANDAS[kind] for name, kind in columns.items()})
+    return typed
 
 
 def _imported(library: str) -> Any:

@@ -49,6 +49,8 @@ _VEHICLES: Final = frozenset(
 )
 MAX_STATES: Final = 10_000_000
 """Most states, steps times road users, of a recording: 277 road users for an hour."""
+MAX_SIZE: Final = 10_000.0
+"""Largest length and width of a road user, m."""
 _MOVED: Final = 0.05
 """Distance, m, below which a displacement says nothing about the heading."""
 
@@ -161,7 +163,8 @@ def read_tracks(
         The tracks. A static obstacle is there at every step, at rest.
 
     Raises:
-        ValueError: A road user has no size, or there are more than ``MAX_STATES`` states.
+        ValueError: A road user has no size or one beyond ``MAX_SIZE``, or there are more than
+            ``MAX_STATES`` states.
     """
     dt = STEP_SECONDS * resampling.times / resampling.every
     moving = [_recorded(o, derived.get(o.obstacle_id, frozenset()), dt) for o in _dynamic(scenario)]
@@ -175,7 +178,7 @@ def read_tracks(
         )
     bodies = [body(o.obstacle_shape) for o in obstacles]
     for obstacle, (_, size, _) in zip(obstacles, bodies, strict=True):
-        if not np.all(size > 0.0):
+        if not np.all((size > 0.0) & (size <= MAX_SIZE)):
             raise ValueError(
                 f"obstacle {obstacle.obstacle_id} is {size[0]:g} m by {size[1]:g} m; correct it"
             )

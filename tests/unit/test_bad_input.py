@@ -23,7 +23,7 @@ from dosplan.recording import load_cycle_ms, load_recording
 from dosplan.registry import RegistryError, find_planner, one_line
 from dosplan.results import read_rows, row_line
 from dosplan.scenario import ScenarioError, load_scenario
-from dosplan.scenario.obstacles import MAX_STATES
+from dosplan.scenario.obstacles import MAX_SIZE, MAX_STATES
 from dosplan.scoring import failed_score
 from dosplan.types import Arm
 from dosplan.yaml_text import MAX_DEPTH, YamlError, parse_yaml
@@ -92,6 +92,20 @@ def test_an_episode_that_starts_far_away_takes_no_memory(
 def test_a_road_user_without_a_size_is_named(tmp_path: Path, width: str) -> None:
     text = _replaced("<width>1.8</width>", f"<width>{width}</width>")
     _refused(tmp_path, text, f"obstacle 7 is 4.5 m by {width} m")
+
+
+@pytest.mark.parametrize("length", [MAX_SIZE, MAX_SIZE + 1.0])
+def test_a_road_user_of_any_length_would_take_for_ever_to_score(
+    tmp_path: Path, length: float
+) -> None:
+    # How finely the way between two steps is looked at grows with the size.
+    text = _replaced("<length>4.5</length>", f"<length>{length}</length>")
+    if length > MAX_SIZE:
+        _refused(tmp_path, text, "obstacle 7 is 10001 m by 1.8 m")
+    else:
+        path = tmp_path / "good.xml"
+        path.write_text(text)
+        assert load_scenario(path).tracks.size[0, 0] == length
 
 
 def test_a_speed_limit_below_zero_is_named(tmp_path: Path) -> None:

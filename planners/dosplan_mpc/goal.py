@@ -23,6 +23,9 @@ _WINDING = 1.5  # m to both sides over which the change of steering is taken.
 _STEERING_SHARE = 1.0  # Share of the steering's rate that the reference speed asks for.
 _AIM = 0.03  # rad that are kept from the edge of a goal's heading window.
 _TURN = 0.3  # rad by which the path may miss that window; the ego turns towards it.
+_SHORT = _EDGE + _SAMPLING  # m by which a window's end may be short of the region's edge.
+_CRAWL = 1.0  # m/s below which whoever is too early for a goal waits for it.
+_WAITING = 20.0  # Times a station counts for more while waiting: past the region's end is too far.
 _LATE = 0.3  # s of reserve before the deadline.
 
 
@@ -305,7 +308,7 @@ def plan_speed(
     Returns:
         The profile.
     """
-    window = next((w for w in windows if w.last_step >= step and w.end > position), None)
+    window = next((w for w in windows if w.last_step >= step and w.end + _SHORT > position), None)
     reach = max(60.0, 45.0 * config.horizon * dt, (window.end - position + 5.0) if window else 0.0)
     grid = position + np.arange(0.0, reach, 1.0)
     horizon = config.horizon
@@ -321,7 +324,9 @@ def plan_speed(
             break
     time = dt * np.arange(horizon + 1)
     rate = _RUN_UP * style.longitudinal
-    ramp = velocity + np.clip(target - velocity, -rate * time, rate * time)
+    waiting = window is not None and window.first_step > step and target < _CRAWL
+    slower = config.utmost.longitudinal if waiting else rate
+    ramp = velocity + np.clip(target - velocity, -slower * time, rate * time)
     s = _stations(position, ramp, dt)
     reference = np.minimum(ramp, np.interp(s, grid, limit))
     if window is not None and window.velocity is not None:
@@ -351,7 +356,7 @@ def plan_speed(
         np.where(inside, window.right, -np.inf),
         np.where(inside, window.left, np.inf),
         s,
-        np.full(horizon + 1, config.station_weight),
+        np.full(horizon + 1, config.station_weight * (_WAITING if waiting else 1.0)),
         heading,
         np.where(asked, config.goal_heading_weight, 0.0),
     )

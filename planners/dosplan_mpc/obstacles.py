@@ -111,24 +111,30 @@ def superellipse_axes(
 
 
 def forbidden_sets(
-    occupancy: Occupancy, horizon: int, radius: float, keep: IntArray, penalty: FloatArray
+    occupancy: Occupancy,
+    radius: float,
+    keep: IntArray,
+    penalty: FloatArray,
+    extended: int,
 ) -> ForbiddenSets:
     """Widens the sets of some road users.
 
     Args:
         occupancy: Predicted sets.
-        horizon: Number T of steps that are wanted.
         radius: Radius of the ego's discs, m.
         keep: (n,) rows of the road users that matter.
-        penalty: (T,) penalty at each step.
+        penalty: (T,) penalty at each step that is wanted.
+        extended: Number of steps with sets; after them the predicted positions alone count.
 
     Returns:
         Their forbidden sets; where a road user is not predicted, its set is out of reach.
     """
+    horizon = len(penalty)
     valid = occupancy.valid[keep, :horizon]
     heading = np.where(valid, occupancy.heading[keep, :horizon], 0.0)
     centre = np.where(valid[..., None], occupancy.centre[keep, :horizon], 0.0)
-    semi_axes = np.where(valid[..., None], occupancy.semi_axes[keep, :horizon], 0.0)
+    widened = valid & (np.arange(horizon) < extended)
+    semi_axes = np.where(widened[..., None], occupancy.semi_axes[keep, :horizon], 0.0)
     turn = np.where(valid, occupancy.angle[keep, :horizon], 0.0) - heading
     footprint = np.broadcast_to(occupancy.footprint[keep, None], semi_axes.shape)
     axes = superellipse_axes(footprint, semi_axes, turn, radius)

@@ -61,7 +61,7 @@ class _Memory:
 class MpcPlanner(Planner):
     """Model-predictive control that keeps out of occupancy sets."""
 
-    name: ClassVar[str] = "mpc-v2"
+    name: ClassVar[str] = "mpc-v3"
 
     settings: ClassVar[type[MpcConfig]] = MpcConfig
 
@@ -191,7 +191,10 @@ class MpcPlanner(Planner):
         keep = keep[np.isfinite(away[keep])]
         followers = traffic.followers[keep]
         penalty = self.config.set_penalty * np.linspace(1.0, self.config.far_penalty, n)
-        sets = forbidden_sets(occupancy, n, self._radius + self.config.clearance, keep, penalty)
+        # An episode ends with its goal's deadline: what may be later must not block the last metres.
+        extended = max(self._final_step - observation.step, 0) if self._windows else n
+        radius = self._radius + self.config.clearance
+        sets = forbidden_sets(occupancy, radius, keep, penalty, extended)
         sets = stretch_back(sets, followers, _TAIL)
         return release(sets, self._sampler.disc_centres(observation.ego), self._dt)
 

@@ -55,6 +55,11 @@ PENALTY = np.full(HORIZON, 200.0)
 FREE = Traffic(cruise=10.0, pressed=False, followers=np.zeros(0, dtype=np.bool_))
 
 
+def the_set(occupancy: Occupancy, radius: float, penalty: FloatArray = PENALTY) -> ForbiddenSets:
+    """The forbidden set of the first road user."""
+    return forbidden_sets(occupancy, radius, np.array([0]), penalty, len(penalty))
+
+
 def circle_route(radius: float, turn: float = np.pi) -> Route:
     """An arc to the left that begins in the origin along +x, four metres free on both sides."""
     s = np.arange(0.0, radius * turn, 0.5)
@@ -135,8 +140,8 @@ def occupancy_at(x: float, y: float, heading: float = 0.0, semi: float = 0.0) ->
 
 
 def test_forbidden_set_follows_heading_and_grows_with_the_set() -> None:
-    across = forbidden_sets(occupancy_at(10.0, 0.0, np.pi / 2), 30, 1.0, np.array([0]), PENALTY)
-    wide = forbidden_sets(occupancy_at(10.0, 0.0, np.pi / 2, 1.0), 30, 1.0, np.array([0]), PENALTY)
+    across = the_set(occupancy_at(10.0, 0.0, np.pi / 2), 1.0)
+    wide = the_set(occupancy_at(10.0, 0.0, np.pi / 2, 1.0), 1.0)
     beside = np.array([[[[10.0, 3.3]]]] * 1).repeat(30, axis=1)[0]  # along the car's length
     ahead = np.array([[[[13.4, 0.0]]]] * 1).repeat(30, axis=1)[0]  # across it
     assert across.distance(beside)[0, 0] < across.distance(ahead)[0, 0]
@@ -148,12 +153,20 @@ def test_forbidden_set_follows_heading_and_grows_with_the_set() -> None:
 
 def test_unpredicted_road_user_is_out_of_reach() -> None:
     gone = replace(occupancy_at(10.0, 0.0), valid=np.zeros((1, 40), dtype=np.bool_))
-    sets = forbidden_sets(gone, 30, 1.0, np.array([0]), PENALTY)
+    sets = the_set(gone, 1.0)
     assert sets.distance(np.full((30, 1, 2), [10.0, 0.0])).min() > 100.0
 
 
+def test_after_the_steps_with_sets_the_positions_alone_count() -> None:
+    occupancy = occupancy_at(10.0, 0.0, 0.3, 1.0)
+    sets = forbidden_sets(occupancy, 1.0, np.array([0]), PENALTY, 12)
+    full, bare = the_set(occupancy, 1.0), the_set(occupancy.without_sets(), 1.0)
+    np.testing.assert_array_equal(sets.slots[:, :12], full.slots[:, :12])
+    np.testing.assert_array_equal(sets.slots[:, 12:], bare.slots[:, 12:])
+
+
 def test_release_lets_go_of_the_ego_and_comes_back() -> None:
-    sets = forbidden_sets(occupancy_at(0.0, 2.0), 30, 1.0, np.array([0]), PENALTY)
+    sets = the_set(occupancy_at(0.0, 2.0), 1.0)
     ego = np.array([[0.0, 0.3]])
     assert sets.distance(ego[None].repeat(30, axis=0))[0, 0] < 1.0
     released = release(sets, ego, DT).distance(ego[None].repeat(30, axis=0))[0]
@@ -165,13 +178,13 @@ def test_release_lets_go_of_the_ego_and_comes_back() -> None:
 
 
 def test_release_keeps_sets_that_do_not_hold_the_ego() -> None:
-    sets = forbidden_sets(occupancy_at(0.0, 9.0), 30, 1.0, np.array([0]), PENALTY)
+    sets = the_set(occupancy_at(0.0, 9.0), 1.0)
     np.testing.assert_array_equal(release(sets, np.zeros((1, 2)), DT).slots, sets.slots)
 
 
 def test_nearest_orders_by_normalised_distance() -> None:
-    a = forbidden_sets(occupancy_at(30.0, 0.0), 30, 1.0, np.array([0]), PENALTY)
-    b = forbidden_sets(occupancy_at(12.0, 0.0), 30, 1.0, np.array([0]), PENALTY)
+    a = the_set(occupancy_at(30.0, 0.0), 1.0)
+    b = the_set(occupancy_at(12.0, 0.0), 1.0)
     both = ForbiddenSets(np.array([1, 2]), np.concatenate([a.slots, b.slots]))
     way = np.zeros((30, 1, 2))
     np.testing.assert_array_equal(both.nearest(way, 5).ids, [2, 1])
@@ -296,8 +309,13 @@ def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
     path = ReferencePath(task.route)
     windows = locate_goals(task, path)
     # The region ends at 22 m of path; the last metre is kept as a reserve.
-    profile = plan_speed(path, windows, 0, DT, 21.2, 2.0, FREE, MpcConfig(), VEHICLE)
-    assert profile.velocity[-1] == 0.0
+    # Up to the edge itself, which the window with its margins falls short of, it is not too late.
+    for position in (21.2, 21.9):
+        profile = plan_speed(path, windows, 0, DT, position, 2.0, FREE, MpcConfig(), VEHICLE)
+        assert profile.velocity[-1] == 0.0
+        assert profile.station_weight[0] > MpcConfig().station_weight
+    missed = plan_speed(path, windows, 0, DT, 23.0, 2.0, FREE, MpcConfig(), VEHICLE)
+    assert missed.velocity[-1] > 2.0
     late = plan_speed(path, windows, 101, DT, 21.2, 2.0, FREE, MpcConfig(), VEHICLE)
     assert late.velocity[-1] == pytest.approx(FREE.cruise)
 
@@ -361,7 +379,7 @@ def test_traffic_is_sorted_into_leader_and_followers() -> None:
 
 
 def test_a_stretched_set_keeps_its_front_and_reaches_back() -> None:
-    sets = forbidden_sets(occupancy_at(0.0, 0.0), 30, 1.0, np.array([0]), PENALTY)
+    sets = the_set(occupancy_at(0.0, 0.0), 1.0)
     longer = stretch_back(sets, np.array([True]), 10.0)
     front = 1.0 / sets.slots[0, 0, 2]
     for x, inside in ((front - 0.01, True), (front + 0.01, False), (-front - 9.9, True)):
@@ -397,9 +415,7 @@ def test_rating_prefers_the_free_side() -> None:
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     candidates = sampler.sample(start, 20.0, 0.0, profile)
     _, radius = disc_offsets(VEHICLE, config.discs)
-    blocked = forbidden_sets(
-        occupancy_at(22.0, -0.5), config.horizon, radius, np.array([0]), PENALTY
-    )
+    blocked = the_set(occupancy_at(22.0, -0.5), radius)
     best = int(np.argmin(sampler.rate(candidates, blocked, profile)))
     distance = blocked.distance(sampler.disc_centres(candidates.states[best, 1:]))
     assert distance.min() > 0.95
@@ -470,9 +486,7 @@ def test_solution_obeys_the_vehicle_model(mpc: MpcProblem) -> None:
 
 def test_road_user_is_passed_outside_its_set(mpc: MpcProblem) -> None:
     _, radius = disc_offsets(VEHICLE, mpc.config.discs)
-    sets = forbidden_sets(
-        occupancy_at(20.0, -0.4), mpc.config.horizon, radius, np.array([0]), PENALTY
-    )
+    sets = the_set(occupancy_at(20.0, -0.4), radius)
     guess = straight_guess(mpc, lateral=2.5)
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     solution = solved(mpc, start, straight_stages(mpc, guess.states, sets), guess)
@@ -489,8 +503,8 @@ def test_unavoidable_set_has_slack_of_its_own(mpc: MpcProblem) -> None:
     """One set the ego cannot leave must not loosen another."""
     _, radius = disc_offsets(VEHICLE, mpc.config.discs)
     n = mpc.config.horizon
-    here = forbidden_sets(occupancy_at(1.4, 0.0), n, radius, np.array([0]), PENALTY)
-    ahead = forbidden_sets(occupancy_at(22.0, -0.4), n, radius, np.array([0]), PENALTY)
+    here = the_set(occupancy_at(1.4, 0.0), radius)
+    ahead = the_set(occupancy_at(22.0, -0.4), radius)
     guess = straight_guess(mpc, lateral=2.5)
     stages = straight_stages(mpc, guess.states, here)
     stages[1:, STAGE_HEAD + SLOT_SIZE : STAGE_HEAD + 2 * SLOT_SIZE] = ahead.slots[0]
@@ -508,9 +522,7 @@ def test_a_set_is_entered_where_it_costs_less_than_the_way_around(mpc: MpcProble
     guess = straight_guess(mpc)
     slacks = []
     for price in (0.1, 2000.0):
-        sets = forbidden_sets(
-            occupancy_at(25.0, -0.8), HORIZON, radius, np.array([0]), np.full(HORIZON, price)
-        )
+        sets = the_set(occupancy_at(25.0, -0.8), radius, np.full(HORIZON, price))
         stages = straight_stages(mpc, guess.states, sets)
         slacks.append(solved(mpc, start, stages, guess).set_slack.max())
     assert slacks[0] > 0.1
@@ -531,7 +543,7 @@ def test_fatrop_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ca, "nlpsol", ipopt)
     oracle = MpcProblem(config, VEHICLE, DT)
     _, radius = disc_offsets(VEHICLE, config.discs)
-    sets = forbidden_sets(occupancy_at(12.0, -0.8), 15, radius, np.array([0]), PENALTY[:15])
+    sets = the_set(occupancy_at(12.0, -0.8), radius, PENALTY[:15])
     guess = straight_guess(ours, lateral=1.5)
     start = np.array([0.0, 0.4, 0.0, 9.0, 0.03, 0.0])
     stages = straight_stages(ours, guess.states, sets)

@@ -17,6 +17,8 @@ import numpy.typing as npt
 from dosplan.types import BoolArray, FloatArray, IntArray
 
 COVERAGE: Final = 0.9  # What the sets of OSA@90 cover.
+PAPER_AREAS: Final = (2.46, 5.83, 9.15, 13.36)
+"""Mean area, m2, of the paper's own sets at 1, 2, 3, 4 s (its Table 1)."""
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -184,3 +186,21 @@ def scaled_area(area: float | None, scale: float | None) -> float | None:
         m2; None where either is missing or the sets have no area.
     """
     return None if scale is None or not area else area * scale**2
+
+
+def coverage_at_area(distance: Floats, area: float | None, wanted: float) -> float | None:
+    """Share that sets cover when one factor on their semi-axes gives them a wanted mean area.
+
+    The factor, sqrt(wanted / area), knows the sets alone and no truth.
+
+    Args:
+        distance: (W,) Mahalanobis distances to the sets as predicted.
+        area: Their mean area, m2.
+        wanted: The mean area they shall have, m2.
+
+    Returns:
+        The share; None where there are no windows or the sets have no area.
+    """
+    if not len(distance) or not area:
+        return None
+    return float(np.mean(distance <= np.float32(np.sqrt(wanted / area))))

@@ -12,8 +12,10 @@ import numpy.typing as npt
 from dosplan.evaluation.groups import group_windows
 from dosplan.evaluation.limits import REPRESENTATIONS
 from dosplan.evaluation.metrics import (
+    PAPER_AREAS,
     average_displacement,
     clustered_ratio,
+    coverage_at_area,
     covered,
     covering_scale,
     mean_displacement,
@@ -145,6 +147,7 @@ def _set_rows(label: str, sets: SetSamples, factor: Scales, pool: _Pool) -> Rows
                     "osa90": scaled_area(osa, scale),
                     "cr90": None if scale is None else _mean(distance <= np.float32(scale)),
                     "scale90": scale,
+                    "cr_at_paper_area": coverage_at_area(distance, osa, PAPER_AREAS[h]),
                     "n": rate.n,
                 }
             )

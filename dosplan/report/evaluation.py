@@ -8,6 +8,7 @@ from typing import Any, Final
 from rich.console import Group, RenderableType
 
 from dosplan.evaluation.groups import SPEED_BINS
+from dosplan.evaluation.metrics import PAPER_AREAS
 from dosplan.report.tables import markdown, table
 
 Block = tuple[str, list[str], list[list[str]]]
@@ -23,8 +24,8 @@ def evaluation_tables(figures: Mapping[str, Any]) -> RenderableType:
         figures: What ``evaluate`` returned.
 
     Returns:
-        What it was measured on; sets of all and of moving road users; coverage by speed;
-        trajectories; upper limits. Further groups are in the figures alone.
+        What it was measured on; sets of all and of moving road users; coverage by area and by
+        speed; trajectories; upper limits. Further groups are in the figures alone.
     """
     parts: list[RenderableType] = [_on(figures["data"])]
     for title, headings, rows in _blocks(figures):
@@ -85,6 +86,18 @@ def _blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
                 for method in methods
             ],
         )
+    yield (
+        "CR % of sets scaled to the mean areas of the paper's, "
+        f"{' / '.join(f'{area:g}' for area in PAPER_AREAS)} m2",
+        ["Method", *(f"{group} {t} s" for group in shown for t in seconds)],
+        [
+            [
+                method,
+                *(_percent(r["cr_at_paper_area"]) for g in shown for r in sets[method, g]),
+            ]
+            for method in methods
+        ],
+    )
     bins = [name for name in SPEED_BINS if name in groups]
     yield (
         f"CR % by speed, at {', '.join(seconds)} s",

@@ -27,7 +27,8 @@ from tests.scenes import User, driving, write_scenario_xml
 FAULTY = Path(__file__).with_name("faulty.py")
 CIRCLES = [("cv", "constant-velocity", {}), ("r=1", "fixed-circle", {"r": 1.0})]
 SETS = {
-    "method", "group", "horizon_s", "cr", "cr_se", "osa", "osa90", "cr90", "scale90", "n"
+    "method", "group", "horizon_s", "cr", "cr_se", "osa", "osa90", "cr90", "scale90",
+    "cr_at_paper_area", "n"
 }  # fmt: skip
 
 

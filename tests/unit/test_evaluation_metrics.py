@@ -18,6 +18,7 @@ from dosplan.evaluation.limits import (
 from dosplan.evaluation.metrics import (
     average_displacement,
     clustered_ratio,
+    coverage_at_area,
     covered,
     covering_scale,
     displacement,
@@ -126,6 +127,16 @@ def test_scaled_sets_cover_nine_tenths_and_no_smaller_ones_do(distances: list[fl
 
 def test_scale_of_ten_windows_is_the_ninth_distance() -> None:
     assert covering_scale(np.arange(10.0, 0.0, -1.0)) == 9.0
+
+
+def test_coverage_at_an_area_by_hand() -> None:
+    distance = np.array([0.5, 1.0, 1.9, 2.1], dtype=np.float32)
+    # Four times the area is twice the axes: whoever is within two of them is covered.
+    assert coverage_at_area(distance, 3.0, 12.0) == 0.75
+    assert coverage_at_area(distance, 3.0, 3.0) == 0.5
+    assert coverage_at_area(distance, 0.0, 3.0) is None
+    assert coverage_at_area(distance, None, 3.0) is None
+    assert coverage_at_area(distance[:0], 3.0, 3.0) is None
 
 
 def test_points_cannot_be_scaled() -> None:

@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet --constraint constraints.txt
 WORKERS ?= $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
 RUN_ARGS ?=
+BENCH_ARGS ?=
 PEERS_ARGS ?=
 
 .PHONY: run test test-all suite-check bench peers bench-peers lint clean
@@ -25,7 +26,7 @@ suite-check: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(PIP) --editable ".[onnx]"
-	$(BIN)/python tests/bench.py
+	$(BIN)/python -m tests.bench $(BENCH_ARGS)
 
 # Other people's planners; the reactive planner needs Python 3.11.
 peers: $(VENV)/.dev

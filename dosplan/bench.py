@@ -21,6 +21,7 @@ from rich.console import RenderableType
 
 from dosplan.episode import drive_episode
 from dosplan.files import write_bytes
+from dosplan.observer import ProgressObserver
 from dosplan.process import EpisodeProcess
 from dosplan.provenance import content_digest, describe_environment
 from dosplan.recording import load_cycle_ms
@@ -168,7 +169,7 @@ def _measure_start(config: RunConfig) -> dict[str, float]:
 
 def _measure_run(config: RunConfig, episodes: int) -> dict[str, float]:
     watch = _Watch()
-    folder = run(config, watch)
+    folder = run(config, ProgressObserver(watch))
     total = time.perf_counter() - watch.started
     steady = watch.runner[int(_SETTLED * len(watch.runner)) :]
     driving = total - watch.first

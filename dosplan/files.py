@@ -115,7 +115,22 @@ def write_json(path: Path, value: Any) -> None:
         FileError: It cannot be written.
         ValueError: The value holds a NaN.
     """
-    write_text(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+    write_text(path, json_text(value))
+
+
+def json_text(value: Any) -> str:
+    """Writes a value as the text of a JSON file.
+
+    Args:
+        value: What ``json`` can write; NaN and infinity are refused, as JSON has neither.
+
+    Returns:
+        The text, with its last line break.
+
+    Raises:
+        ValueError: The value holds a NaN.
+    """
+    return json.dumps(value, indent=2, allow_nan=False) + "\n"
 
 
 def read_json(path: Path) -> Any:

@@ -16,11 +16,12 @@ from dosplan.api import Planner, Predictor
 from dosplan.comparison import Comparison, compare_runs
 from dosplan.files import read_json
 from dosplan.frames import to_pandas, to_polars
+from dosplan.observer import Progress, ProgressObserver
 from dosplan.recording import Recording, load_recording
 from dosplan.registry import RegistryError, create_planner, create_predictor
 from dosplan.results import RunFolder, read_run
 from dosplan.run_config import RunConfig, default_folder
-from dosplan.runner import Progress, run
+from dosplan.runner import run
 from dosplan.scoring import score
 from dosplan.simulation import SimulationConfig
 from dosplan.simulation import run_episode as simulate
@@ -173,7 +174,7 @@ def run_suite(
         predictor=_spec(predictor),
         **{"workers": os.cpu_count() or 1, "cache": True, **settings},
     )
-    return open_run(run(config, progress).path)
+    return open_run(run(config, ProgressObserver(progress)).path)
 
 
 def open_run(path: str | Path) -> Results:

@@ -19,9 +19,12 @@ from hashlib import sha256
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
-from typing import Any
+from typing import Any, Final
 
 from dosplan.api import Planner, Predictor
+
+LONGEST_LINE: Final = 1000
+"""Characters of an exception's message that are shown."""
 
 
 class RegistryError(ValueError):
@@ -150,13 +153,14 @@ def one_line(error: BaseException) -> str:
         error: Any exception.
 
     Returns:
-        ``Type: message``, line breaks turned into blanks.
+        ``Type: message``, line breaks turned into blanks; of a long one, the beginning.
     """
     try:
         text = f"{type(error).__name__}: {error}"
     except Exception:  # Not even its message can be had.
         text = f"{type(error).__name__} without a message"
-    return " ".join(text.split())
+    line = " ".join(text.split())
+    return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
 
 
 def failure_place(error: BaseException, plugin: object) -> str:
@@ -280,7 +284,12 @@ def _check_class(found: object, spec: str, kind: PluginKind) -> None:
 
 
 def _check_options(found: Any, options: Collection[str], spec: str, kind: PluginKind) -> None:
-    taken = _options(found)
+    try:
+        taken = _options(found)
+    except (TypeError, ValueError) as error:  # Settings or a constructor that are none.
+        raise RegistryError(
+            f"{kind.word} {spec!r} does not tell its options: {one_line(error)}"
+        ) from error
     for name in options:
         if taken is not None and name not in taken:
             raise RegistryError(

@@ -41,6 +41,7 @@ _MANIFEST: Final = {
     "scenarios": list,
     "versions": dict,
 }
+_CONFIG: Final = {"source": str, "planner_options": dict, "predictor_options": dict}
 
 
 class ArmSummary(TypedDict):
@@ -354,9 +355,11 @@ def _describes_a_run(manifest: Any) -> bool:
         isinstance(manifest.get(key), kind) for key, kind in _MANIFEST.items()
     ):
         return False
-    arms = manifest["config"].get("arms")
+    config = manifest["config"]
+    arms = config.get("arms")
     return (
         isinstance(arms, list)
+        and all(isinstance(config.get(key, kind()), kind) for key, kind in _CONFIG.items())
         and all(arm in list(Arm) for arm in arms)
         and all(isinstance(scenario, str) for scenario in manifest["scenarios"])
     )

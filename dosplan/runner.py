@@ -9,7 +9,7 @@ moment is resumed by the same command. The rows end up in the order of the manif
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -21,6 +21,7 @@ from dosplan.comparison import compare_rows
 from dosplan.episode import EpisodeResult
 from dosplan.executor import Executor, LocalExecutor, Task
 from dosplan.files import remove_half_written, write_bytes, write_json, write_text
+from dosplan.observer import Observer
 from dosplan.provenance import content_digest, describe_environment
 from dosplan.registry import find_planner, find_predictor, source_files
 from dosplan.report.tables import summary_markdown
@@ -38,19 +39,17 @@ from dosplan.scenario import ScenarioRef, find_scenarios
 from dosplan.solutions import write_solutions
 from dosplan.types import Arm, Score
 
-__all__ = ["Progress", "RunConfig", "RunError", "run"]
+__all__ = ["RunConfig", "RunError", "run"]
 
-Progress = Callable[[int, int], None]
 _PARTS: Final = ("episodes", "solutions")
 
 
-def run(config: RunConfig, progress: Progress = lambda done, total: None) -> RunFolder:
+def run(config: RunConfig, observer: Observer = Observer()) -> RunFolder:  # noqa: B008 - no state
     """Drives every episode of a run, or those that an interrupted one left.
 
     Args:
         config: The run.
-        progress: Called with the number of finished episodes and of all, first before any is
-            driven.
+        observer: Is told of the rows that are there and of each that comes.
 
     Returns:
         The run folder, complete.
@@ -67,10 +66,10 @@ def run(config: RunConfig, progress: Progress = lambda done, total: None) -> Run
     manifest = _open_folder(folder, manifest)
     tasks = list(product(refs, config.arms))
     with _held(folder):
-        left = _unfinished(folder, tasks)
-        progress(len(tasks) - len(left), len(tasks))
+        kept, left = _unfinished(folder, tasks)
+        observer.begin(dict.fromkeys(config.arms, len(refs)), kept)
         if left:
-            _drive(folder, left, len(tasks), _executor(config), progress)
+            _drive(folder, left, _executor(config), observer)
         by_task = {(row.scenario, row.arm): row for row in read_rows(folder.rows)}
         rows = [by_task[ref.id, arm] for ref, arm in tasks]
         write_rows(folder.rows, rows)
@@ -90,8 +89,12 @@ def _executor(config: RunConfig) -> Executor:
     return DaskExecutor(config, config.cluster)
 
 
-def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> list[Task]:
-    """Puts right what a run that was killed left in the folder; returns what is to be driven."""
+def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> tuple[list[Score], list[Task]]:
+    """Puts right what a run that was killed left in the folder.
+
+    Returns:
+        Its rows, and what is to be driven.
+    """
     for place in (folder.path, *(folder.path / name for name in _PARTS)):
         remove_half_written(place)
     wanted = {(ref.id, arm) for ref, arm in tasks}
@@ -101,20 +104,17 @@ def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> list[Task]:
         if (key := (row.scenario, row.arm)) in wanted and folder.holds(row)
     }
     write_rows(folder.rows, kept.values())
-    return [(ref, arm) for ref, arm in tasks if (ref.id, arm) not in kept]
+    left = [(ref, arm) for ref, arm in tasks if (ref.id, arm) not in kept]
+    return list(kept.values()), left
 
 
-def _drive(
-    folder: RunFolder, tasks: list[Task], total: int, executor: Executor, progress: Progress
-) -> None:
+def _drive(folder: RunFolder, tasks: list[Task], executor: Executor, observer: Observer) -> None:
     """Drives episodes and writes what they give as they end."""
-    done = total - len(tasks)
     with folder.rows.open("ab", buffering=0) as file, closing(executor.drive(tasks)) as results:
         for (ref, arm), result in results:
             _write_files(folder, ref, arm, result)
             append_row(file, result.row)
-            done += 1
-            progress(done, total)
+            observer.add(result.row)
 
 
 def _write_files(folder: RunFolder, ref: ScenarioRef, arm: Arm, result: EpisodeResult) -> None:

@@ -76,6 +76,8 @@ def _frozen(
     name = getattr(owner, "scenario_id", None)
     suffix = f" (scenario {name})" if name else ""
     try:
+        if np.iscomplexobj(value):  # numpy would drop the imaginary part, and only warn.
+            raise TypeError("it holds complex numbers")
         array = np.array(value, dtype=dtype)
     except (TypeError, ValueError) as error:
         raise ShapeError(f"{where} is not an array of {np.dtype(dtype)}: {error}{suffix}") from None

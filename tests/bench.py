@@ -18,7 +18,7 @@ import argparse
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -51,17 +51,25 @@ from rich.console import Console
 from dosplan.api import Planner, Predictor
 from dosplan.files import write_json
 from dosplan.provenance import describe_environment
-from dosplan.registry import create_planner, create_predictor
+from dosplan.registry import RegistryError, create_planner, create_predictor
 from dosplan.report.tables import table
 from dosplan.scenario import find_scenarios, load_scenario
-from dosplan.scenes import LANE_WIDTH, steady_tracks, straight_scenario
 from dosplan.scoring import score
 from dosplan.simulation import observe, run_episode
-from dosplan.types import STEP_SECONDS, Arm, EpisodeEnd, FloatArray, Scenario
+from dosplan.types import (
+    STEP_SECONDS,
+    Arm,
+    EpisodeEnd,
+    FloatArray,
+    Scenario,
+)
 from dosplan.vehicle import VehicleParameters
+from tests.bench_scenes import steady_flow, tiled
 
 PERCENTILES: Final = (50, 95, 99)
 ROAD_USERS: Final = (5, 20, 50, 200)
+HORIZONS: Final = (2, 4, 6, 8)  # s, of the planner.
+MAPS: Final = (1, 4, 16, 64)  # Copies of a map, side by side.
 PREDICTED: Final = (10, 30, 100)  # Road users of the scenes that the trained network predicts.
 PREDICTION_PARTS: Final = ("features", "network", "sets", "total")
 PREDICTIONS: Final = 60  # Of each of them.
@@ -109,7 +117,9 @@ def main() -> None:
         "scenarios": [ref.id for ref in refs],
         "times_ms": {k: {part: spread(v[part]) for part in PARTS} for k, v in pooled.items()},
         "ratios": find_ratios(scenarios),
-        "road_users": measure_growth(planner, predictor),
+        "road_users": measure_road_users(planner, predictor),
+        "horizon_s": measure_horizons(options.planner),
+        "lanelets": measure_maps(planner, predictor, load_scenario(refs[0])),
         "engines": measure_engines(shipped_weights(), shipped_sets(DEFAULT_SETS)),
         "compiled": measure_compiled(),
         "startup_ms": {**measure_startup(), "load_scenario": spread(loads)},
@@ -167,17 +177,52 @@ def find_ratios(scenarios: Sequence[dict[str, Times]]) -> dict[str, Figures]:
     }
 
 
-def measure_growth(planner: Planner, predictor: Predictor) -> dict[str, Figures]:
-    """Medians, with DOS, for more and more road users, and the cycle's ratio to the fewest."""
-    scenes = {n: steady_flow(n) for n in ROAD_USERS}
+def measure_road_users(planner: Planner, predictor: Predictor) -> dict[str, Figures]:
+    """Times with more and more road users."""
+    return measure_growth({n: (steady_flow(n), planner, predictor) for n in ROAD_USERS})
+
+
+def measure_horizons(planner: str) -> dict[str, Figures]:
+    """Times of a planner that looks further and further ahead; nothing of one that cannot.
+
+    The sets are circles around constant velocity: the trained ones end at 4 s.
+    """
+    steps = {seconds: round(seconds / STEP_SECONDS) for seconds in HORIZONS}
+    try:
+        planners = {s: create_planner(planner, 0, {"horizon": n}) for s, n in steps.items()}
+    except RegistryError:
+        return {}
+    sets = {s: create_predictor("growing-circle", 0, {"horizon": n}) for s, n in steps.items()}
+    scene = steady_flow(20)
+    for driver, predictor in zip(planners.values(), sets.values(), strict=True):
+        drive(scene, driver, predictor, Arm.WITH_DOS)  # Builds its problem.
+    return measure_growth({s: (scene, planners[s], sets[s]) for s in HORIZONS})
+
+
+def measure_maps(planner: Planner, predictor: Predictor, scenario: Scenario) -> dict[str, Figures]:
+    """Times of a scenario whose map is larger and larger, by the number of its lanelets."""
+    scenes = [replace(scenario, road_map=tiled(scenario.road_map, n)) for n in MAPS]
+    return measure_growth({len(s.road_map.lanelets): (s, planner, predictor) for s in scenes})
+
+
+def measure_growth(
+    driven: Mapping[int, tuple[Scenario, Planner, Predictor]],
+) -> dict[str, Figures]:
+    """Medians, with DOS, the cycle's 95th percentile, and its median's ratio to the first."""
     rounds = [
-        {n: drive(scene, planner, predictor, Arm.WITH_DOS) for n, scene in scenes.items()}
-        for _ in range(ROUNDS)
+        {n: drive(*parts, Arm.WITH_DOS) for n, parts in driven.items()} for _ in range(ROUNDS)
     ]
-    pooled = {n: pool([drives[n] for drives in rounds]) for n in ROAD_USERS}
-    found = {n: {k: float(np.median(pooled[n][k])) for k in CYCLE_PARTS} for n in ROAD_USERS}
-    fewest = found[ROAD_USERS[0]]["cycle"]
-    return {str(n): row | {"cycle_ratio": row["cycle"] / fewest} for n, row in found.items()}
+    pooled = {n: pool([drives[n] for drives in rounds]) for n in driven}
+    found = {n: {k: float(np.median(pooled[n][k])) for k in CYCLE_PARTS} for n in driven}
+    first = next(iter(found.values()))["cycle"]
+    return {
+        str(n): row
+        | {
+            "cycle_p95": float(np.percentile(pooled[n]["cycle"], 95)),
+            "cycle_ratio": row["cycle"] / first,
+        }
+        for n, row in found.items()
+    }
 
 
 def measure_engines(network: Path, sets: Path) -> dict[str, dict[str, Figures]]:
@@ -246,21 +291,6 @@ def measure_compiled() -> Figures:
     times = [[cpu_time(action) for action in solve] for _ in range(SOLVES)]
     slow, quick = np.median(times, axis=0).tolist()
     return {"virtual_machine": slow, "compiled": quick, "ratio": quick / slow}
-
-
-def steady_flow(n: int) -> Scenario:
-    """The ego amid the ``n`` nearest cars of thirteen lanes of traffic that flows at 7 to 10 m/s.
-
-    More cars are cars further away: what grows is their number, not the tightness of the scene.
-    """
-    start_step = 40
-    place, lane = (grid.ravel() for grid in np.meshgrid(np.arange(-12, 13), np.arange(-6, 7)))
-    x, y = 25.0 * place + 7.0 * lane, LANE_WIDTH * lane
-    nearest = np.argsort(np.hypot(x, y), kind="stable")[1 : n + 1]  # The first is the ego's own.
-    velocity = 10.0 - 0.5 * np.abs(lane)
-    x = x - start_step * STEP_SECONDS * velocity  # Tracks are given at step 0.
-    first = np.column_stack([x, y, np.zeros_like(x), velocity])[nearest]
-    return straight_scenario(steady_tracks(first), start_step=start_step, final_step=65)
 
 
 def measure_startup() -> dict[str, Figures]:
@@ -334,6 +364,8 @@ def show(figures: dict[str, Any]) -> None:
         table(["ms", *(f"{name}\n{under}" for name in drives)], times),
         table(["ratio within a scenario", "median", "lowest", "highest"], rows(figures["ratios"])),
         table(["road\nusers", *columns], rows(figures["road_users"])),
+        table(["horizon, s", *columns], rows(figures["horizon_s"])),
+        table(["lanelets", *columns], rows(figures["lanelets"])),
         engine_table,
         compiled_table,
         table(["before the first cycle, ms", "n", *percentiles], rows(figures["startup_ms"])),

@@ -11,14 +11,17 @@ NEEDS: Final = {
     "reactive": ("commonroad_rp", "commonroad_dc"),
     "frenetix": ("frenetix", "commonroad_dc"),
 }
+PREDICTORS: Final = {"wale-net": ("prediction", "cv2")}
 
 
-def is_missing(planner: str) -> bool:
-    """Whether a planner is a peer that is not installed."""
-    return any(find_spec(module) is None for module in NEEDS.get(planner, ()))
+def is_missing(name: str) -> bool:
+    """Whether a planner or predictor is a peer that is not installed."""
+    needed = {**NEEDS, **PREDICTORS}.get(name, ())
+    return any(find_spec(module) is None for module in needed)
 
 
-def skip_where_missing(planner: str) -> pytest.MarkDecorator:
-    """Skips the tests of a planner that is a peer and not installed."""
-    reason = f"{planner} is not installed: pip install 'dosplan[peers]' in Python 3.11"
-    return pytest.mark.skipif(is_missing(planner), reason=reason)
+def skip_where_missing(name: str) -> pytest.MarkDecorator:
+    """Skips the tests of a planner or predictor that is a peer and not installed."""
+    what = "dosplan[wale-net]'" if name in PREDICTORS else "dosplan[peers]' in Python 3.11"
+    reason = f"{name} is not installed: pip install '{what}"
+    return pytest.mark.skipif(is_missing(name), reason=reason)

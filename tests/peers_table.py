@@ -14,7 +14,7 @@ from typing import Any, Final
 from dosplan.commands.common import console
 from dosplan.files import read_json, write_json, write_text
 from dosplan.provenance import describe_environment
-from dosplan.report.progress import show_progress
+from dosplan.report.progress import show_run
 from dosplan.report.tables import markdown
 from dosplan.runner import RunConfig, run
 from dosplan.types import Arm
@@ -28,7 +28,9 @@ PREDICTORS: Final = {
     "dos": tuple(Arm),
     "constant-velocity": (Arm.WITHOUT_DOS,),
     "ground-truth": (Arm.WITHOUT_DOS,),
+    "wale-net": tuple(Arm),
 }
+BY_DEFAULT: Final = ("dos", "constant-velocity", "ground-truth")  # Wale-Net takes hours.
 SHARES: Final = {
     "Success %": "success_rate",
     "Collision %": "collision_rate",
@@ -47,11 +49,12 @@ DECIMALS: Final = {
 def main() -> None:
     """Drives every pair and writes the table."""
     options = _options()
-    missing = [name for name in options.planners if is_missing(name)]
+    missing = [name for name in (*options.planners, *options.predictors) if is_missing(name)]
     if missing:
-        raise SystemExit(f"peers: {', '.join(missing)} not installed: pip install 'dosplan[peers]'")
+        raise SystemExit(f"peers: {', '.join(missing)} not installed: see results/peers/README.md")
     rows: list[dict[str, Any]] = []
-    for predictor, arms in PREDICTORS.items():
+    for predictor in options.predictors:
+        arms = PREDICTORS[predictor]
         for planner in options.planners:
             config = RunConfig(
                 out=RUNS / options.name / f"{planner}-{predictor}",
@@ -64,8 +67,8 @@ def main() -> None:
                 ranked=predictor != "ground-truth",
                 cache=True,
             )
-            with show_progress(console(stderr=True)) as progress:
-                summary = read_json(run(config, progress).summary)
+            with show_run(console(stderr=True)) as observer:
+                summary = read_json(run(config, observer).summary)
             rows += [
                 {"planner": planner, "predictor": predictor, "arm": arm.value} | summary[arm.value]
                 for arm in arms
@@ -93,6 +96,14 @@ def _options() -> argparse.Namespace:
     parser.add_argument("source", nargs="?", default="suite", help="as for `dosplan run`")
     parser.add_argument("--name", default="suite", help="of the table (default: %(default)s)")
     parser.add_argument("--planners", nargs="+", default=PLANNERS, metavar="PLANNER")
+    parser.add_argument(
+        "--predictors",
+        nargs="+",
+        default=BY_DEFAULT,
+        choices=PREDICTORS,
+        help="default: all but wale-net",
+        metavar="PREDICTOR",
+    )
     parser.add_argument("--workers", type=int, default=1, metavar="N")
     parser.add_argument("--limit", type=int, metavar="N", help="the first N scenarios only")
     return parser.parse_args()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
+STDOUT: Final = Path("-")
 PLUGIN_HELP: Final = "a name of `dosplan list`, module:Class or path/to/file.py:Class"
 SOURCE_HELP: Final = (
     "where the scenarios are: suite, a CommonRoad file, a folder, a quoted glob, a .zip or .tar.*, "
@@ -25,7 +26,23 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     Args:
         parser: The subcommand's parser.
     """
-    parser.add_argument("--json", type=Path, metavar="PATH", help="write the same figures there")
+    parser.add_argument(
+        "--json",
+        type=_json_path,
+        nargs="?",
+        const=STDOUT,
+        metavar="PATH",
+        help="write the same figures there; without PATH, or with -, standard output has them "
+        "as one JSON document and nothing else",
+    )
+
+
+def _json_path(text: str) -> Path:
+    """A file to be written; what is a folder was meant for another argument."""
+    path = Path(text)
+    if path.is_dir():
+        raise argparse.ArgumentTypeError(f"{text} is a folder; name a file, or write --json=-")
+    return path
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:
@@ -52,31 +69,46 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: %(default)s")
 
 
+def add_moved_source(parser: argparse.ArgumentParser) -> None:
+    """Declares ``--source`` for a command that reads a run folder.
+
+    Args:
+        parser: The subcommand's parser.
+    """
+    parser.add_argument(
+        "--source",
+        metavar="SOURCE",
+        help="where the scenarios lie now (default: where the run found them)",
+    )
+
+
 def show(parts: Sequence[RenderableType], figures: Any, json_path: Path | None) -> None:
     """Prints what a command found, and writes the same figures as JSON where asked to.
 
     Args:
         parts: Tables and lines for the terminal.
         figures: What they show, as ``json`` can write it.
-        json_path: Where to write the figures, or None.
+        json_path: Where to write the figures, or None; ``STDOUT`` prints them in place of the
+            parts.
 
     Raises:
         FileError: Standard output or the file cannot be written.
     """
-    out = console()
+    from dosplan.files import FileError, json_text, write_json
+
     try:
-        for part in parts:
-            out.print(part, highlight=False, markup=False)
+        if json_path == STDOUT:
+            sys.stdout.write(json_text(figures))
+        else:
+            out = console()
+            for part in parts:
+                out.print(part, highlight=False, markup=False)
         sys.stdout.flush()
     except OSError as error:
-        from dosplan.files import FileError
-
         # What could not be written is still buffered, and leaving would try to write it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise FileError(f"cannot write to standard output: {error.strerror}") from error
-    if json_path is not None:
-        from dosplan.files import write_json
-
+    if json_path not in (None, STDOUT):
         write_json(json_path, figures)
 
 

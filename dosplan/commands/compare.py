@@ -51,9 +51,10 @@ class CompareCommand:
         specs = [spec for spec in (options.run_a, options.run_b) if spec is not None]
         comparisons = compare_runs(specs)
         figures = {"comparisons": [asdict(comparison) for comparison in comparisons]}
-        show([comparison_tables(c) for c in comparisons], figures, options.json)
+        parts = [comparison_tables(c) for c in comparisons]
         if options.html is not None:
             from dosplan.report.html.write import write_comparison
 
-            print(f"page in {write_comparison(specs, options.html)}")
+            parts.append(f"page in {write_comparison(specs, options.html)}")
+        show(parts, figures, options.json)
         return OK

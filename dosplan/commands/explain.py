@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from dosplan.commands import OK, Command
-from dosplan.commands.common import add_json, show
+from dosplan.commands.common import add_json, add_moved_source, show
 
 _EXAMPLES: Final = """\
 examples:
@@ -36,11 +36,7 @@ class ExplainCommand:
             choices=("with_dos", "without_dos"),
             help="explain this arm only (default: those that the run holds)",
         )
-        parser.add_argument(
-            "--source",
-            metavar="SUITE_OR_FOLDER",
-            help="where the scenarios lie now (default: where the run found them)",
-        )
+        add_moved_source(parser)
 
     def run(self, options: argparse.Namespace) -> int:
         """Explains.
@@ -52,8 +48,8 @@ class ExplainCommand:
             0.
 
         Raises:
-            FileError: The run folder holds no such episode, or a file cannot be written.
-            ScenarioError: The scenario cannot be found or read.
+            FileError: The run folder holds no such episode, its scenario cannot be found, or a
+                file cannot be written.
         """
         from dataclasses import asdict
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from dosplan.commands import OK, Command
+from dosplan.commands.common import add_moved_source
 
 
 class ReportCommand:
@@ -24,11 +25,7 @@ class ReportCommand:
         parser.add_argument(
             "--out", type=Path, metavar="FILE", help="where to write it (default: RUN/report.html)"
         )
-        parser.add_argument(
-            "--source",
-            metavar="SOURCE",
-            help="where the scenarios lie now (default: where the run found them)",
-        )
+        add_moved_source(parser)
 
     def run(self, options: argparse.Namespace) -> int:
         """Writes the page.

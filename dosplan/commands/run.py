@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,6 +28,7 @@ examples:
   dosplan run scenarios.zip --solutions          a CommonRoad solution for each drive, too
   dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
   dosplan run --predictor ground-truth --unranked
+  dosplan run --quiet --json > figures.json      for scripts
 """
 
 Setting = tuple[str, str, Any]
@@ -45,6 +47,9 @@ class RunCommand:
         """
         parser.epilog = _EXAMPLES
         add_json(parser)
+        parser.add_argument(
+            "--quiet", action="store_true", help="show no progress, only the final figures"
+        )
         _add_what_to_drive(parser)
         _add_how_to_drive(parser)
 
@@ -64,7 +69,8 @@ class RunCommand:
             FileError: A file cannot be written.
         """
         from dosplan.files import read_json
-        from dosplan.report.progress import show_progress
+        from dosplan.observer import Observer
+        from dosplan.report.progress import show_run
         from dosplan.report.tables import error_lines, summary_tables
         from dosplan.results import read_rows
         from dosplan.run_config import default_folder
@@ -91,8 +97,9 @@ class RunCommand:
             solutions=options.solutions,
         )
         try:
-            with show_progress(console(stderr=True)) as progress:
-                folder = run(config, progress)
+            shown = nullcontext(Observer()) if options.quiet else show_run(console(stderr=True))
+            with shown as observer:
+                folder = run(config, observer)
         except KeyboardInterrupt:
             hint = f"the same command with --out {shlex.quote(str(config.out))} resumes"
             print(f"dosplan: interrupted; {hint}", file=sys.stderr)

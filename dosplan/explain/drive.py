@@ -7,9 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
+from dosplan.files import FileError
 from dosplan.recording import Recording
 from dosplan.types import EGO_VELOCITY, FloatArray, Outcome, Scenario, Score
 from dosplan.vehicle import VehicleParameters
+
+_SAME_START = 1e-6  # How far the start of the same file may be off by rounding.
 
 
 @dataclass(frozen=True)
@@ -21,12 +24,23 @@ class Drive:
         row: Its row.
         recording: Its file.
         vehicle: The ego.
+
+    Raises:
+        FileError: The episode was not driven in this scenario.
     """
 
     scenario: Scenario
     row: Score
     recording: Recording
     vehicle: VehicleParameters
+
+    def __post_init__(self) -> None:
+        start = self.scenario.task.start
+        if not np.allclose(self.recording.states[0], start, rtol=0.0, atol=_SAME_START):
+            raise FileError(
+                f"{self.row.scenario} is not the scenario that the run drove: its ego starts "
+                "elsewhere; name the right one with --source"
+            )
 
     @cached_property
     def states(self) -> FloatArray:

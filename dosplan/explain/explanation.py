@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
-
-import numpy as np
 
 from dosplan.explain.collision import CollisionFacts, collision_facts
 from dosplan.explain.drive import Drive
@@ -15,14 +12,11 @@ from dosplan.explain.goal import GoalFacts, goal_facts
 from dosplan.explain.margins import Margins, margins
 from dosplan.explain.planning import PlanningFacts, planning_facts
 from dosplan.explain.road import RoadFacts, road_facts
-from dosplan.files import FileError
-from dosplan.recording import Recording, load_recording
-from dosplan.results import RunFolder, read_manifest, read_rows
-from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
+from dosplan.recorded import find_recorded
+from dosplan.recording import Recording
+from dosplan.results import RunFolder
 from dosplan.types import Arm, Outcome, Scenario, Score
 from dosplan.vehicle import VehicleParameters
-
-_SAME_START = 1e-6  # How far the start of the same file may be off by rounding.
 
 
 @dataclass(frozen=True)
@@ -90,29 +84,17 @@ def explain(
         One explanation for each arm.
 
     Raises:
-        FileError: The folder holds no such episode, or not the one of this scenario file.
-        ScenarioError: The scenario cannot be found or read.
+        FileError: The folder holds no such episode, or its scenario cannot be found or read, or
+            it is not the one that was driven.
     """
-    folder = RunFolder(path)
-    if not folder.manifest.is_file():
-        raise FileError(f"{path} is not a run folder: it has no run.json")
-    manifest = read_manifest(folder)
-    if scenario not in manifest["scenarios"]:
-        near = get_close_matches(scenario, manifest["scenarios"], n=3)
-        hint = f"; it has {', '.join(near)}" if near else ""
-        raise FileError(f"{path} holds no scenario {scenario}{hint}")
-    rows = [row for row in read_rows(folder.rows) if row.scenario == scenario and row.arm in arms]
-    if not rows:
-        raise FileError(f"{path} holds no finished episode of {scenario} in {' or '.join(arms)}")
-    recordings = [_recording(folder, row) for row in rows]
-    loaded: Scenario | None = None
-    if any(recording is not None for recording in recordings):
-        loaded = load_scenario(_find(scenario, source or manifest["config"].get("source", "")))
+    found = find_recorded(path, scenario, arms, source)
     return [
-        _failure(folder, row)
-        if recording is None or loaded is None
-        else explain_episode(loaded, row, recording, traceback=_traceback(folder, row))
-        for row, recording in zip(rows, recordings, strict=True)
+        _failure(found.folder, row)
+        if recording is None or found.scenario is None
+        else explain_episode(
+            found.scenario, row, recording, traceback=_traceback(found.folder, row)
+        )
+        for row, recording in zip(found.rows, found.recordings, strict=True)
     ]
 
 
@@ -138,12 +120,6 @@ def explain_episode(
     Raises:
         FileError: The episode was not driven in this scenario.
     """
-    start = scenario.task.start
-    if not np.allclose(recording.states[0], start, rtol=0.0, atol=_SAME_START):
-        raise FileError(
-            f"{row.scenario} is not the scenario that the run drove: its ego starts elsewhere; "
-            "name the right one with --source"
-        )
     drive = Drive(scenario, row, recording, vehicle)
     collided, off_road, reached = row.collision_step, row.out_of_bounds_step, row.goal_step
     return Explanation(
@@ -165,14 +141,6 @@ def explain_episode(
     )
 
 
-def _recording(folder: RunFolder, row: Score) -> Recording | None:
-    """An episode's file; None where it failed before there was anything to write."""
-    path = folder.recording(row.scenario, row.arm)
-    if row.outcome is Outcome.PLANNER_FAILURE and not path.exists():
-        return None
-    return load_recording(path)
-
-
 def _failure(folder: RunFolder, row: Score) -> Explanation:
     return Explanation(
         scenario=row.scenario,
@@ -186,10 +154,3 @@ def _failure(folder: RunFolder, row: Score) -> Explanation:
 def _traceback(folder: RunFolder, row: Score) -> str | None:
     path = folder.traceback(row.scenario, row.arm)
     return path.relative_to(folder.path).as_posix() if path.exists() else None
-
-
-def _find(scenario: str, source: str) -> ScenarioRef:
-    for ref in find_scenarios(source):
-        if ref.id == scenario:
-            return ref
-    raise FileError(f"{source} holds no scenario {scenario}; name its place with --source")

@@ -1,18 +1,40 @@
-"""How far a run is: a bar on a terminal, now and then a line elsewhere."""
+"""How far a run is: live on a terminal, now and then a line elsewhere."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import timedelta
+from typing import Final
 
-from rich.console import Console
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 from rich.progress import TimeRemainingColumn as Remaining
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from dosplan.observer import Observer
+from dosplan.report.tables import ARM_TITLES, table
+from dosplan.types import Arm, Outcome, Score
+
+Clock = Callable[[], float]
+
+_LINE_EVERY: Final = 60.0  # s after which a line is due before the next tenth is done.
+_COUNTED: Final = {
+    "collisions": Outcome.COLLISION,
+    "out of bounds": Outcome.OUT_OF_BOUNDS,
+    "goals missed": Outcome.GOAL_MISSED,
+    "failures": Outcome.PLANNER_FAILURE,
+}
 
 
 @contextmanager
-def show_progress(console: Console, unit: str = "episodes") -> Iterator[Callable[[int, int], None]]:
-    """Shows how far a run is while the block runs.
+def show_progress(console: Console, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """Shows how far something is while the block runs.
 
     Args:
         console: Where to.
@@ -28,6 +50,125 @@ def show_progress(console: Console, unit: str = "episodes") -> Iterator[Callable
     with Progress(unit, *columns, console=console, transient=True) as bar:
         task = bar.add_task(unit, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def show_run(console: Console, clock: Clock = time.monotonic) -> Iterator[Observer]:
+    """Shows how a run goes on while the block runs.
+
+    A terminal has a table, which goes when the block ends. Elsewhere there is a line for each
+    tenth of the run, and for each minute where a tenth takes longer.
+
+    Args:
+        console: Where to.
+        clock: The time, s.
+
+    Yields:
+        What the runner reports to.
+    """
+    tally = _Tally(clock)
+    if not console.is_terminal:
+        yield _LineObserver(console, tally, clock)
+        return
+    # It is drawn anew several times a second, since the time left changes between two rows.
+    with Live(get_renderable=lambda: _live(tally), console=console, transient=True):
+        yield tally
+
+
+class _Tally(Observer):
+    """Counts outcomes.
+
+    Attributes:
+        episodes: Number of episodes of each arm.
+        outcomes: How many ended how, in each arm.
+        done: How many have ended.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self.episodes: Mapping[Arm, int] = {}
+        self.outcomes: dict[Arm, Counter[Outcome]] = {}
+        self.done = 0
+        self._clock = clock
+        self._began = 0.0
+        self._left_over = 0  # Of an earlier start: they say nothing of how quickly this one goes.
+
+    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
+        self.outcomes = {arm: Counter() for arm in episodes}
+        for row in rows:
+            self.add(row)
+        self._began, self._left_over = self._clock(), len(rows)
+        self.episodes = episodes
+
+    def add(self, row: Score) -> None:
+        self.outcomes[row.arm][row.outcome] += 1
+        self.done += 1
+
+    @property
+    def total(self) -> int:
+        return sum(self.episodes.values())
+
+    @property
+    def pace(self) -> str:
+        """How quickly it goes, and when it will be over; nothing before the first row."""
+        driven, seconds = self.done - self._left_over, self._clock() - self._began
+        if not driven or seconds <= 0.0:
+            return ""
+        rate = driven / seconds
+        shown = f"{rate:.1f} per second" if rate >= 1.0 else f"{60.0 * rate:.1f} per minute"
+        return f", {shown}, {timedelta(seconds=round((self.total - self.done) / rate))} left"
+
+    def cells(self, arm: Arm) -> list[str]:
+        """Done, success so far in percent, and what is counted."""
+        found = self.outcomes[arm]
+        done = found.total()
+        success = f"{100.0 * found[Outcome.SUCCESS] / done:.1f}" if done else "-"
+        counts = [str(found[outcome]) for outcome in _COUNTED.values()]
+        return [f"{done} of {self.episodes[arm]}", success, *counts]
+
+
+def _live(tally: _Tally) -> RenderableType:
+    if not tally.total:  # Scenarios are still being looked for.
+        return ""
+    headings = ["", "done", "success %", *_COUNTED]
+    rows = [[ARM_TITLES[arm], *tally.cells(arm)] for arm in tally.episodes]
+    foot = Table.grid(padding=(0, 2))
+    foot.add_row(ProgressBar(tally.total, tally.done, width=32), Text(_head(tally)))
+    return Group(table(headings, rows), foot)
+
+
+def _head(tally: _Tally) -> str:
+    return f"{tally.done} of {tally.total} episodes{tally.pace}"
+
+
+class _LineObserver(Observer):
+    """Writes a line for each tenth of a run and each minute."""
+
+    def __init__(self, console: Console, tally: _Tally, clock: Clock) -> None:
+        self._console, self._tally, self._clock = console, tally, clock
+        self._tenth, self._written = 0, 0.0
+
+    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
+        self._tally.begin(episodes, rows)
+        self._write()
+
+    def add(self, row: Score) -> None:
+        self._tally.add(row)
+        if self._at() > self._tenth or self._clock() - self._written >= _LINE_EVERY:
+            self._write()
+
+    def _at(self) -> int:
+        return 10 * self._tally.done // self._tally.total
+
+    def _write(self) -> None:
+        arms = [f"; {ARM_TITLES[arm]}: {self._arm(arm)}" for arm in self._tally.episodes]
+        line = _head(self._tally) + ("".join(arms) if self._tally.done else "")
+        self._console.print(line, highlight=False, soft_wrap=True)
+        self._tenth, self._written = self._at(), self._clock()
+
+    def _arm(self, arm: Arm) -> str:
+        done, success, *counts = self._tally.cells(arm)
+        counted = [f"{what} {count}" for what, count in zip(_COUNTED, counts, strict=True)]
+        return ", ".join([done, f"success {success} %", *counted])
 
 
 def _lines(console: Console, unit: str) -> Callable[[int, int], None]:

@@ -1,25 +1,20 @@
-"""Draws a scene from above: map, road users, the ego and its task.
-
-Needs matplotlib (``pip install 'dosplan[report]'``); import this module only to draw.
-"""
+"""Draws a scene from above: map, road users, the ego and its task; import it only to draw."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 import numpy as np
 import shapely
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
-from matplotlib.figure import Figure
+from matplotlib.collections import LineCollection
 from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path as Outline
 from shapely.geometry import MultiPolygon, Polygon
 
-from dosplan.geometry import rectangle_corners, to_world
+from dosplan.report.layers import INK, Bodies, Sets, Users, on_scene
 from dosplan.types import FloatArray, GoalState, Occupancy, RoadUserKind, Scenario
 from dosplan.vehicle import VehicleParameters
 
@@ -41,8 +36,7 @@ KIND_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
 
 EGO_COLOUR: Final = "#d7191c"
 GOAL_COLOUR: Final = "#1a9641"
-_ROAD, _MARKING, _KERB = "#e9e9e6", "#ffffff", "#9b9b95"
-_INK = "#222222"
+_ROAD, _MARKING, _KERB = "#dfe1e0", "#ffffff", "#9b9b95"
 _MARGIN = 30.0
 _TRAIL = 10
 _BAR = 20.0
@@ -70,29 +64,14 @@ def draw_scene(
         occupancy: Sets to be shown, or None.
         trail: Number of steps of its past that each road user trails behind it.
     """
-    _draw_map(axes, scenario)
-    _draw_task(axes, scenario)
+    draw_map(axes, scenario)
+    draw_task(axes, scenario)
     if occupancy is not None:
-        _draw_occupancy(axes, occupancy)
-    _draw_users(axes, scenario, step, trail)
+        _draw_sets(axes, occupancy)
+    _draw_trails(axes, scenario, step, trail)
+    Users(axes, scenario.tracks, KIND_COLOURS, zorder=6).show_step(step)
     _draw_ego(axes, scenario, step, ego)
     _set_view(axes, scenario)
-
-
-def save_scene(scenario: Scenario, path: Path, step: int | None = None) -> None:
-    """Draws a scene into a picture.
-
-    Args:
-        scenario: The scene.
-        path: The file; its suffix says the format (``.png``, ``.svg``, ``.pdf``).
-        step: Step to be shown; the one at which the ego starts if None.
-    """
-    figure = Figure(figsize=(8.0, 8.0), layout="constrained")
-    axes = figure.add_subplot()
-    draw_scene(axes, scenario, scenario.task.start_step if step is None else step)
-    axes.set_title(scenario.id, fontsize="medium")
-    figure.legend(handles=legend_handles(scenario), loc="outside lower center", ncols=5)
-    figure.savefig(path, dpi=150)
 
 
 def legend_handles(*scenarios: Scenario) -> list[Patch]:
@@ -106,10 +85,10 @@ def legend_handles(*scenarios: Scenario) -> list[Patch]:
     """
     present = {kind for scenario in scenarios for kind in scenario.tracks.kinds}
     return [
-        Patch(facecolor=EGO_COLOUR, edgecolor=_INK, label="ego"),
+        Patch(facecolor=EGO_COLOUR, edgecolor=INK, label="ego"),
         Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
         *(
-            Patch(facecolor=colour, edgecolor=_INK, label=kind.value)
+            Patch(facecolor=colour, edgecolor=INK, label=kind.value)
             for kind, colour in KIND_COLOURS.items()
             if kind in present
         ),
@@ -126,7 +105,13 @@ def _patch(area: Polygon | MultiPolygon) -> Outline:
     return Outline.make_compound_path(*(Outline(ring, closed=True) for ring in rings))
 
 
-def _draw_map(axes: Axes, scenario: Scenario) -> None:
+def draw_map(axes: Axes, scenario: Scenario) -> None:
+    """Draws the road.
+
+    Args:
+        axes: Where to draw.
+        scenario: The scene.
+    """
     road_map = scenario.road_map
     road = _patch(road_map.drivable)
     axes.add_patch(PathPatch(road, facecolor=_ROAD, edgecolor="none", zorder=1))
@@ -135,7 +120,13 @@ def _draw_map(axes: Axes, scenario: Scenario) -> None:
     axes.add_patch(PathPatch(road, facecolor="none", edgecolor=_KERB, linewidth=0.8, zorder=2))
 
 
-def _draw_task(axes: Axes, scenario: Scenario) -> None:
+def draw_task(axes: Axes, scenario: Scenario) -> None:
+    """Draws the way to the goal, and the goal.
+
+    Args:
+        axes: Where to draw.
+        scenario: The scene.
+    """
     task = scenario.task
     axes.plot(*task.route.path.T, color=GOAL_COLOUR, linewidth=1.2, alpha=0.6, zorder=3)
     for region in filter(None, (goal.region for goal in task.goals)):
@@ -146,66 +137,33 @@ def _draw_task(axes: Axes, scenario: Scenario) -> None:
         )
 
 
-def _draw_occupancy(axes: Axes, occupancy: Occupancy) -> None:
-    shown = occupancy.valid & (occupancy.semi_axes > 0.0).all(axis=-1)
-    widths, heights = 2.0 * occupancy.semi_axes[shown].T
-    ellipses = EllipseCollection(
-        widths,
-        heights,
-        np.rad2deg(occupancy.angle[shown]),
-        units="xy",
-        offsets=occupancy.centre[shown],
-        offset_transform=axes.transData,
-        facecolors="none",
-        edgecolors=EGO_COLOUR,
-        linewidths=0.4,
-        alpha=0.5,
-        zorder=4,
-    )
-    axes.add_collection(ellipses)
-
-
-def _draw_users(axes: Axes, scenario: Scenario, step: int, trail: int) -> None:
+def _draw_trails(axes: Axes, scenario: Scenario, step: int, trail: int) -> None:
     tracks = scenario.tracks
-    # A slice, since nobody is there any more once the recording is over.
-    users = np.flatnonzero(tracks.valid[:, step : step + 1].any(axis=1))
-    begin = max(0, step - trail)
+    users, begin = on_scene(tracks, step), max(0, step - trail)
     trails = [tracks.states[u, begin : step + 1][tracks.valid[u, begin : step + 1]] for u in users]
     colours = [KIND_COLOURS[tracks.kinds[u]] for u in users]
     lines = [states[:, :2] for states in trails]
     axes.add_collection(LineCollection(lines, colors=colours, linewidths=1.0, alpha=0.5, zorder=5))
-    bodies, noses = [], []
-    for user in users:
-        pose, size = tracks.states[user, step, :3], tracks.size[user]
-        outline = tracks.outlines[user]
-        corners = rectangle_corners(pose, size) if outline is None else to_world(outline, pose)
-        bodies.append(corners)
-        noses.append(_nose(pose, size))
-    axes.add_collection(
-        PolyCollection(bodies, facecolors=colours, edgecolors=_INK, linewidths=0.4, zorder=6)
+
+
+def _draw_sets(axes: Axes, occupancy: Occupancy) -> None:
+    shares = np.linspace(0.0, 1.0, occupancy.horizon)
+    shown = occupancy.valid
+    Sets(axes, zorder=4).show(
+        occupancy.centre[shown],
+        occupancy.semi_axes[shown],
+        occupancy.angle[shown],
+        np.broadcast_to(shares, shown.shape)[shown],
     )
-    axes.add_collection(PolyCollection(noses, facecolors=_MARKING, alpha=0.75, zorder=6))
 
 
 def _draw_ego(axes: Axes, scenario: Scenario, step: int, ego: FloatArray | None) -> None:
     vehicle, task = VehicleParameters(), scenario.task
-    states = task.start[None] if ego is None else ego
-    poses = vehicle.poses(states)
-    pose = poses[int(np.clip(step - task.start_step, 0, len(poses) - 1))]
+    poses = vehicle.poses(task.start[None] if ego is None else ego)
     axes.plot(*poses[:, :2].T, color=EGO_COLOUR, linewidth=1.4, zorder=7)
-    corners = rectangle_corners(pose, vehicle.size)
-    axes.add_collection(
-        PolyCollection([corners], facecolors=EGO_COLOUR, edgecolors=_INK, linewidths=0.6, zorder=8)
-    )
-    nose = _nose(pose, np.array(vehicle.size))
-    axes.add_collection(PolyCollection([nose], facecolors=_MARKING, alpha=0.9, zorder=8))
-
-
-def _nose(pose: FloatArray, size: FloatArray) -> FloatArray:
-    """(3, 2) an arrow head in the front half of a body, m: it tells where that is heading."""
-    length, width = size
-    head = np.array([[0.46 * length, 0.0], [0.18 * length, 0.36 * width]])
-    return to_world(np.array([*head, head[1] * (1.0, -1.0)]), pose)
+    now = int(np.clip(step - task.start_step, 0, len(poses) - 1))
+    body = Bodies(axes, zorder=8, line=0.6)
+    body.show(poses[now : now + 1], np.array([vehicle.size]), [EGO_COLOUR])
 
 
 def _set_view(axes: Axes, scenario: Scenario) -> None:
@@ -220,7 +178,7 @@ def _set_view(axes: Axes, scenario: Scenario) -> None:
     axes.set_xticks([])
     axes.set_yticks([])
     start, level = left + 0.04 * reach, bottom + 0.05 * reach
-    axes.plot([start, start + _BAR], [level, level], color=_INK, linewidth=1.5, zorder=9)
+    axes.plot([start, start + _BAR], [level, level], color=INK, linewidth=1.5, zorder=9)
     axes.text(
         start + 0.5 * _BAR,
         level,

@@ -13,7 +13,7 @@ from dosplan.comparison import Comparison, Difference
 from dosplan.types import Arm, Score
 
 ERRORS_SHOWN: Final = 10
-_ARM_TITLES: Final = {Arm.WITH_DOS: "with DOS", Arm.WITHOUT_DOS: "without DOS"}
+ARM_TITLES: Final = {Arm.WITH_DOS: "with DOS", Arm.WITHOUT_DOS: "without DOS"}
 
 Column = tuple[str, str, Callable[[Any], str]]
 
@@ -177,7 +177,7 @@ def _cells(
 ) -> tuple[list[str], list[list[str]]]:
     rows = [
         [title, *(form(summary[arm.value][key]) for _, key, form in columns)]
-        for arm, title in _ARM_TITLES.items()
+        for arm, title in ARM_TITLES.items()
         if arm.value in summary
     ]
     return ["Arm", *(heading for heading, _, _ in columns)], rows

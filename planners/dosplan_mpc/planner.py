@@ -191,7 +191,7 @@ class MpcPlanner(Planner):
         keep = keep[np.isfinite(away[keep])]
         followers = traffic.followers[keep]
         penalty = self.config.set_penalty * np.linspace(1.0, self.config.far_penalty, n)
-        # An episode ends with its goal's deadline: what may be later must not block the last metres.
+        # An episode ends with its goal's deadline: nothing later may block the last metres.
         extended = max(self._final_step - observation.step, 0) if self._windows else n
         radius = self._radius + self.config.clearance
         sets = forbidden_sets(occupancy, radius, keep, penalty, extended)

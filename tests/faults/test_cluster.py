@@ -20,6 +20,7 @@ pytest.importorskip("distributed", reason="Dask is an optional dependency")
 
 from dosplan import __version__, cluster
 from dosplan.cli import main
+from dosplan.observer import ProgressObserver
 from dosplan.runner import RunError, run
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
 from dosplan.types import Arm
@@ -143,7 +144,8 @@ def test_a_scheduler_that_goes_away_leaves_a_folder_that_resumes(
     kept = rows_in(out)
     assert 2 <= kept < len(undisturbed)
     driven: list[int] = []
-    folder = run(configured(out, scenes, "SlowPlanner"), lambda done, total: driven.append(done))
+    counted = ProgressObserver(lambda done, total: driven.append(done))
+    folder = run(configured(out, scenes, "SlowPlanner"), counted)
     assert driven[0] == kept
     assert untimed(folder) == undisturbed
 

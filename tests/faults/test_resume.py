@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from dosplan import runner
+from dosplan.observer import ProgressObserver
 from dosplan.results import RunFolder, row_line
 from dosplan.runner import RunConfig, RunError, run
 from dosplan.types import Score
@@ -94,7 +95,7 @@ def test_a_run_that_was_killed_at_any_moment_is_resumed(
     assert child.exitcode == (0 if moment == MOMENTS else -signal.SIGKILL)
 
     driven: list[int] = []
-    folder = run(config, lambda done, total: driven.append(done))
+    folder = run(config, ProgressObserver(lambda done, total: driven.append(done)))
     assert untimed(folder) == undisturbed
     assert not [path for path in folder.path.rglob(".*") if path.name != ".."]
     names = {path.name for path in folder.path.iterdir()}

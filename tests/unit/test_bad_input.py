@@ -8,6 +8,7 @@ import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +21,12 @@ from dosplan.commands import CommandError
 from dosplan.evaluation.methods import MethodError, read_methods
 from dosplan.files import FileError, file_name, write_text
 from dosplan.recording import load_cycle_ms, load_recording
-from dosplan.registry import RegistryError, find_planner, one_line
-from dosplan.results import read_rows, row_line
+from dosplan.registry import LONGEST_LINE, RegistryError, find_planner, one_line
+from dosplan.results import RunFolder, read_manifest, read_rows, row_line
 from dosplan.scenario import ScenarioError, load_scenario
 from dosplan.scenario.obstacles import MAX_SIZE, MAX_STATES
 from dosplan.scoring import failed_score
-from dosplan.types import Arm
+from dosplan.types import Arm, Plan, ShapeError
 from dosplan.yaml_text import MAX_DEPTH, YamlError, parse_yaml
 from tests import scenes
 from tests.faults.common import InProcess, configured, write_scenes
@@ -196,6 +197,25 @@ def test_a_number_too_large_for_a_row_is_named(tmp_path: Path, value: str) -> No
         read_rows(path)
 
 
+@pytest.mark.parametrize(
+    ("key", "value"), [("source", 10), ("planner_options", 1.5), ("predictor_options", [])]
+)
+def test_a_manifest_with_an_odd_configuration_is_named(
+    tmp_path: Path, key: str, value: object
+) -> None:
+    folder = RunFolder(tmp_path)
+    manifest: dict[str, Any] = {
+        "config": {"arms": ["with_dos"]},
+        **{"planner": "a", "predictor": "b", "scenarios": [], "versions": {}},
+    }
+    folder.manifest.write_text(json.dumps(manifest))
+    assert read_manifest(folder) == manifest
+    manifest["config"][key] = value
+    folder.manifest.write_text(json.dumps(manifest))
+    with pytest.raises(FileError, match=r"is not a run\.json of this version"):
+        read_manifest(folder)
+
+
 def test_a_long_value_of_a_row_is_shortened(tmp_path: Path) -> None:
     path = tmp_path / "scenarios.jsonl"
     line = row_line(failed_score("a", Arm.WITH_DOS, "broken"))
@@ -287,9 +307,34 @@ def test_a_module_that_answers_for_its_names_may_fail(tmp_path: Path) -> None:
         find_planner(f"{file}:Mine")
 
 
+@pytest.mark.parametrize("line", ["settings = 3", "settings = int", "__init__ = None"])
+def test_a_planner_that_does_not_tell_its_options_is_refused(tmp_path: Path, line: str) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from dosplan.api import Planner\n\n\n"
+        f"class Mine(Planner):\n    name = 'mine-v1'\n    {line}\n\n"
+        "    def compute_plan(self, observation, occupancy):\n        return None\n"
+    )
+    with pytest.raises(RegistryError, match="does not tell its options: TypeError"):
+        find_planner(f"{file}:Mine")
+
+
 def test_an_exception_without_a_message_is_still_a_line() -> None:
     class MuteError(Exception):
         def __str__(self) -> str:
             raise ValueError(sys.platform)
 
     assert one_line(MuteError()) == "MuteError without a message"
+
+
+def test_a_message_of_any_length_is_cut() -> None:
+    fits, long = (ValueError("a" * (LONGEST_LINE - len("ValueError: ") + n)) for n in (0, 1))
+    assert one_line(fits) == f"ValueError: {fits}"
+    assert one_line(long) == f"{one_line(fits)} ..."
+
+
+def test_complex_numbers_are_refused_and_not_halved() -> None:
+    states, inputs = np.zeros((3, 5)), np.zeros((2, 2))
+    assert len(Plan(states, inputs).inputs) == 2
+    with pytest.raises(ShapeError, match=r"Plan\.inputs .* complex numbers"):
+        Plan(states, inputs + 1j)  # type: ignore[arg-type]

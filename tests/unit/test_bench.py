@@ -10,14 +10,19 @@ import pytest
 
 from dosplan.files import read_json
 
-BENCH = Path(__file__).parents[1] / "bench.py"
+ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_writes_figures_that_fit_together(tmp_path: Path) -> None:
     out = tmp_path / "bench.json"
     options = ["--scenarios", "1", "--planner", "brake", "--json", str(out)]
     done = subprocess.run(
-        [sys.executable, str(BENCH), *options], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "tests.bench", *options],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
     )
     figures = read_json(out)
 
@@ -40,6 +45,12 @@ def test_writes_figures_that_fit_together(tmp_path: Path) -> None:
     assert list(growth) == ["5", "20", "50", "200"]
     assert growth["5"]["cycle_ratio"] == 1.0
     assert growth["200"]["predict"] > growth["5"]["predict"]  # Forty times the road users.
+    assert figures["horizon_s"] == {}  # That of brake is fixed.
+    few, *_, many = map(int, figures["lanelets"])
+    assert many == 64 * few
+    for grown in (growth, figures["lanelets"]):
+        for row in grown.values():
+            assert 0.0 < row["cycle"] <= row["cycle_p95"]
     for parts in figures["engines"].values():  # There are none without onnxruntime.
         for engine in ("torch", "onnx"):
             assert parts["total"][engine] > parts["features"][engine] > 0.0

@@ -126,7 +126,8 @@ def test_run_prints_the_table_of_a_finished_run(
     for heading in ("Success %", "Collision %", "Out of bounds %", "Velocity m/s", "Safe %"):
         assert heading in captured.out
     assert "Success, with DOS minus without: +0.0 points" in captured.out
-    assert captured.err == "4 of 4 episodes\n"
+    (line,) = captured.err.splitlines()
+    assert line.startswith("4 of 4 episodes; with DOS: 2 of 2, success 50.0 %, collisions 0, ")
 
 
 def test_run_tells_planner_failures_by_its_exit_code_and_on_stderr(
@@ -345,16 +346,16 @@ def test_compare_shows_and_writes_the_same_figures(
 
 def test_progress_is_a_bar_on_a_terminal_and_a_line_per_tenth_elsewhere() -> None:
     terminal = Console(force_terminal=True, width=80, record=True)
-    with terminal.capture() as captured, show_progress(terminal) as progress:
+    with terminal.capture() as captured, show_progress(terminal, "files") as progress:
         progress(3, 4)
     assert "3/4" in captured.get()
 
     pipe = Console(force_terminal=False, width=80)
-    with pipe.capture() as captured, show_progress(pipe) as progress:
+    with pipe.capture() as captured, show_progress(pipe, "files") as progress:
         for done in range(101):
             progress(done, 100)
     lines = captured.get().splitlines()
-    assert lines == [f"{done} of 100 episodes" for done in range(0, 101, 10)]
+    assert lines == [f"{done} of 100 files" for done in range(0, 101, 10)]
 
 
 def test_json_is_json(finished: tuple[Path, Path]) -> None:

@@ -585,7 +585,7 @@ def test_an_episode_that_never_began_needs_no_scenario(
 @pytest.mark.parametrize(
     ("arguments", "complaint"),
     [
-        (["RUN", "ZAM_Test-9_1_T-1"], "holds no scenario ZAM_Test-9_1_T-1; it has ZAM_Test-"),
+        (["RUN", "ZAM_Test-9_1_T-1"], "holds no scenario ZAM_Test-9_1_T-1; did you mean ZAM_Test-"),
         (["RUN", "other"], "holds no scenario other"),
         (["SCENES", "ZAM_Test-0_1_T-1"], "is not a run folder: it has no run.json"),
         (["RUN", "ZAM_Test-0_1_T-1", "--source", "nowhere"], "nowhere: does not exist"),

@@ -502,7 +502,6 @@ def test_road_user_is_passed_outside_its_set(mpc: MpcProblem) -> None:
 def test_unavoidable_set_has_slack_of_its_own(mpc: MpcProblem) -> None:
     """One set the ego cannot leave must not loosen another."""
     _, radius = disc_offsets(VEHICLE, mpc.config.discs)
-    n = mpc.config.horizon
     here = the_set(occupancy_at(1.4, 0.0), radius)
     ahead = the_set(occupancy_at(22.0, -0.4), radius)
     guess = straight_guess(mpc, lateral=2.5)

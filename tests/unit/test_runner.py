@@ -21,6 +21,7 @@ from dosplan import episode, runner, workers
 from dosplan.episode import drive_episode
 from dosplan.executor import Results, Task
 from dosplan.files import FileError, read_json
+from dosplan.observer import ProgressObserver
 from dosplan.recording import KEPT_EVERY, load_recording
 from dosplan.registry import RegistryError
 from dosplan.results import RunFolder, read_rows
@@ -139,7 +140,7 @@ def test_a_finished_run_that_was_moved_is_not_driven_again(
     monkeypatch.setattr(runner, "LocalExecutor", None)  # Driving anything would raise.
     calls: list[tuple[int, int]] = []
     config = _config(tmp_path / "moved", scenes, limit=2, workers=2)
-    folder = run(config, lambda done, total: calls.append((done, total)))
+    folder = run(config, ProgressObserver(lambda done, total: calls.append((done, total))))
     for name in ("scenarios.jsonl", "run.json", "summary.json", "summary.md"):
         assert (folder.path / name).read_bytes() == (finished.path / name).read_bytes()
     assert calls == [(4, 4)]

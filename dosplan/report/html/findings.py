@@ -12,13 +12,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from dosplan.comparison import RESAMPLES, Difference
+from dosplan.comparison import Difference
+from dosplan.intervals import mean_interval, share_interval
 from dosplan.report.html.cases import OUTCOME_WORDS, Case
 from dosplan.report.html.coverage import Coverage, total
 from dosplan.report.html.sides import Pairing
 from dosplan.types import STEP_SECONDS, FloatArray, Outcome, Score
 
-_SEED: Final = 0  # The intervals are part of the page, so they are the same each time.
 _LOOK_AHEAD: Final = (1.0, 2.0, 3.0)  # s; where coverage is given beside collisions.
 _SIGNIFICANT: Final = 0.05
 
@@ -247,25 +247,19 @@ def _field(pairing: Pairing, field: str | None) -> Difference | None:
 
 
 def _share(rows: Iterable[Score], holds: Callable[[Score], bool]) -> dict[str, str]:
-    from scipy.stats import binomtest  # A slow import that listing does without.
-
     held = [holds(row) for row in rows]
     if not held:
         return {"value": "-", "interval": ""}
-    interval = binomtest(sum(held), len(held)).proportion_ci(method="wilson")
-    return {
-        "value": f"{100.0 * sum(held) / len(held):.1f}",
-        "interval": f"{100.0 * interval.low:.1f} to {100.0 * interval.high:.1f}",
-    }
+    value, low, high = (100.0 * share for share in share_interval(sum(held), len(held)))
+    return {"value": f"{value:.1f}", "interval": f"{low:.1f} to {high:.1f}"}
 
 
 def _velocity(rows: Iterable[Score]) -> dict[str, str]:
     values = np.array([row.velocity for row in rows if row.steps])
     if not len(values):
         return {"value": "-", "interval": ""}
-    picks = np.random.default_rng(_SEED).integers(len(values), size=(RESAMPLES, len(values)))
-    low, high = np.percentile(values[picks].mean(axis=1), [2.5, 97.5])
-    return {"value": f"{values.mean():.2f}", "interval": f"{low:.2f} to {high:.2f}"}
+    mean, low, high = mean_interval(values)
+    return {"value": f"{mean:.2f}", "interval": f"{low:.2f} to {high:.2f}"}
 
 
 def _difference(figure: Difference | None, scale: float, form: str) -> list[str]:

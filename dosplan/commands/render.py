@@ -1,0 +1,156 @@
+"""``dosplan render``: a film or a picture of a scenario or of an episode."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from dosplan.commands import OK, Command, CommandError
+from dosplan.commands.common import PLUGIN_HELP, add_seed
+
+if TYPE_CHECKING:
+    from dosplan.report.takes import Takes
+    from dosplan.scenario import ScenarioRef
+
+_ENDINGS: Final = (".gif", ".mp4", ".png")
+_ARMS: Final = ("with_dos", "without_dos")
+_EXAMPLES: Final = """\
+examples:
+  dosplan render runs/mine:ZAM_Weaving-2_1_T-1 --out weaving.gif       both arms, side by side
+  dosplan render runs/mine:ZAM_Weaving-2_1_T-1 --arm with_dos --out weaving.mp4
+  dosplan render runs/mine:ZAM_Weaving-2_1_T-1 --out weaving.png       the moment of the outcome
+  dosplan render runs/mine:ZAM_Weaving-2_1_T-1 --out frames/f.png --frames
+  dosplan render ZAM_Weaving-2_1_T-1 --out traffic.gif                 the recorded traffic alone
+  dosplan render my/scenario.xml --planner idm --out idm.gif           drives it first
+"""
+
+
+class RenderCommand:
+    """Draws a scenario or an episode."""
+
+    summary = "draw an episode or a scenario: a GIF, a video or a picture"
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declares the arguments.
+
+        Args:
+            parser: The subcommand's parser.
+        """
+        parser.epilog = _EXAMPLES
+        parser.add_argument(
+            "what",
+            metavar="RUN:ID|SCENARIO",
+            help="a scenario of a run folder; or a scenario file, or the id of one in --source",
+        )
+        parser.add_argument(
+            "--out",
+            type=Path,
+            required=True,
+            metavar="FILE",
+            help="what to write: .gif, .mp4 (needs the extra `video`) or .png",
+        )
+        parser.add_argument(
+            "--arm", choices=_ARMS, help="draw this arm only (default: both, side by side)"
+        )
+        moments = parser.add_mutually_exclusive_group()
+        moments.add_argument(
+            "--time",
+            type=float,
+            metavar="S",
+            help="moment of a .png, seconds after the start (default: that of the outcome)",
+        )
+        moments.add_argument(
+            "--frames", action="store_true", help="a .png for every step: NAME-000.png, ..."
+        )
+        parser.add_argument(
+            "--source",
+            metavar="SOURCE",
+            help="where the scenarios lie (default: where the run found them; else the suite)",
+        )
+        parser.add_argument(
+            "--planner", help=f"drive SCENARIO with this planner first: {PLUGIN_HELP}"
+        )
+        parser.add_argument(
+            "--predictor", help="and with this predictor (default: dos); needs --planner"
+        )
+        add_seed(parser)
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Draws.
+
+        Args:
+            options: The arguments.
+
+        Returns:
+            0.
+
+        Raises:
+            CommandError: The arguments do not fit each other.
+            FileError: There is no such episode, or a file cannot be written.
+            RegistryError: A plug-in cannot be found.
+            ScenarioError: The scenario cannot be found or read.
+        """
+        ending = options.out.suffix.lower()
+        if ending not in _ENDINGS:
+            raise CommandError(f"{options.out}: name a file that ends in {', '.join(_ENDINGS)}")
+        if ending != ".png" and (options.frames or options.time is not None):
+            raise CommandError(f"{options.out}: --time and --frames are for a .png")
+        takes, title = _takes(options)
+        from dosplan.report import pictures
+
+        if options.frames:
+            number = pictures.write_pictures(takes, title, options.out)
+            print(f"{number} pictures in {options.out.parent}")
+            return OK
+        if ending == ".gif":
+            pictures.write_gif(takes, title, options.out)
+        elif ending == ".mp4":
+            pictures.write_video(takes, title, options.out)
+        else:
+            pictures.write_picture(takes, title, options.out, options.time)
+        print(f"picture in {options.out}")
+        return OK
+
+
+def _takes(options: argparse.Namespace) -> Takes:
+    from dosplan.report.takes import takes_of_drive, takes_of_run, takes_of_scenario
+    from dosplan.types import Arm
+
+    arms = (Arm(options.arm),) if options.arm else tuple(Arm)
+    run, colon, scenario = options.what.rpartition(":")
+    if colon and not scenario.startswith("//") and not Path(options.what).exists():
+        if options.planner or options.predictor:
+            raise CommandError("--planner and --predictor are for a scenario, not for a run")
+        return takes_of_run(Path(run), scenario, arms, options.source)
+    if options.planner:
+        predictor = options.predictor or "dos"
+        return takes_of_drive(_scenario(options), options.planner, predictor, arms, options.seed)
+    if options.predictor or options.arm:
+        raise CommandError(
+            f"{options.what} is a scenario, which nobody has driven: name a --planner, or an "
+            "episode as RUN:ID"
+        )
+    return takes_of_scenario(_scenario(options))
+
+
+def _scenario(options: argparse.Namespace) -> ScenarioRef:
+    """The scenario of a file, or of an id in a source."""
+    from dosplan.recorded import find_scenario
+    from dosplan.scenario import find_scenarios
+    from dosplan.scenario.catalogue import SUITE
+
+    what = options.what
+    if (Path(what) / "run.json").is_file():
+        raise CommandError(f"{what} is a run: name one of its scenarios, as in {what}:ID")
+    if not ("://" in what or Path(what).exists()):
+        return find_scenario(what, options.source or SUITE)
+    refs = find_scenarios(what)
+    if len(refs) > 1:
+        raise CommandError(
+            f"{what} holds {len(refs)} scenarios: name one, as in {refs[0].id} --source {what}"
+        )
+    return refs[0]
+
+
+RENDER: Final[Command] = RenderCommand()

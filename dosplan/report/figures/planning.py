@@ -1,0 +1,98 @@
+"""What the planner makes of the sets: outcomes and velocity of both arms, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dosplan.files import FileError
+from dosplan.intervals import Interval, mean_interval, share_interval
+from dosplan.report.figures import style
+from dosplan.report.figures.sources import Published
+from dosplan.report.tables import ARM_TITLES
+from dosplan.types import Arm, Outcome, Score
+
+RUNS: Final = {"suite": "embedded suite", "recorded": "recorded scenarios"}
+Verdict = Callable[[Score], bool]
+GOOD: Final[dict[str, Verdict]] = {
+    "success": lambda row: row.outcome is Outcome.SUCCESS,
+    "safe": lambda row: row.safe,
+}
+BAD: Final[dict[str, Verdict]] = {
+    "collision": lambda row: row.outcome is Outcome.COLLISION,
+    "at-fault collision": lambda row: row.at_fault,
+    "out of bounds": lambda row: row.outcome is Outcome.OUT_OF_BOUNDS,
+    "goal missed": lambda row: row.outcome is Outcome.GOAL_MISSED,
+}
+_APART: Final = 0.24  # Between the arms.
+
+
+def draw(published: Published) -> Figure:
+    """Draws the figure.
+
+    Args:
+        published: The results.
+
+    Returns:
+        A figure of a page's width, a row of panels for each run.
+
+    Raises:
+        FileError: A run is missing or does not hold both arms.
+    """
+    figure = style.new_figure(style.PAGE, 3.6)
+    panels = figure.subplots(len(RUNS), 3, sharex="col", width_ratios=(2, 3, 1.4), squeeze=False)
+    for (good, bad, speed), (run, title) in zip(panels, RUNS.items(), strict=True):
+        rows = published.rows(run)
+        arms = {arm: [row for row in rows if row.arm is arm] for arm in Arm}
+        if not all(arms.values()):
+            raise FileError(f"{published.path / run} holds one arm only; drive both")
+        _shares(good, arms, GOOD)
+        _shares(bad, arms, BAD)
+        _intervals(speed, {arm: [_velocity(held)] for arm, held in arms.items()}, [""])
+        good.set_title(f"{title}, n = {len(arms[Arm.WITH_DOS])}", loc="left", fontweight="bold")
+    for axes, label in zip(panels[-1], ("share, %", "share, %", "velocity, m/s"), strict=True):
+        axes.set_xlabel(label)
+    panels[0, 0].set_xlim(right=100.0)
+    panels[0, 1].set_xlim(left=-0.4)
+    handles, titles = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, titles, loc="outside lower center", ncols=2)
+    return figure
+
+
+def _shares(axes: Axes, arms: dict[Arm, list[Score]], verdicts: dict[str, Verdict]) -> None:
+    found = {
+        arm: [
+            Interval(*(100.0 * x for x in share_interval(sum(map(holds, rows)), len(rows))))
+            for holds in verdicts.values()
+        ]
+        for arm, rows in arms.items()
+    }
+    _intervals(axes, found, list(verdicts))
+
+
+def _velocity(rows: Sequence[Score]) -> Interval:
+    return mean_interval(np.array([row.velocity for row in rows if row.steps]))
+
+
+def _intervals(axes: Axes, found: dict[Arm, list[Interval]], names: Sequence[str]) -> None:
+    """Draws values with intervals from top to bottom, the arms of each below each other."""
+    places = np.arange(len(names), dtype=np.float64)
+    for i, (arm, intervals) in enumerate(found.items()):
+        value, low, high = np.transpose(intervals)
+        axes.errorbar(
+            value,
+            places + _APART * (i - 0.5),
+            xerr=(value - low, high - value),
+            color=style.ARM_COLOURS[arm],
+            marker=style.ARM_MARKERS[arm],
+            linestyle="none",
+            label=ARM_TITLES[arm],
+        )
+    axes.set_yticks(places, names)
+    axes.tick_params(axis="y", length=0.0)
+    axes.grid(visible=False, axis="y")
+    axes.set_ylim(len(names) - 0.5, -0.5)

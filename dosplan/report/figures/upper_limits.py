@@ -1,0 +1,58 @@
+"""Upper limits: the least mean area with which a set of each shape touches the truth."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from matplotlib.figure import Figure
+
+from dosplan.files import FileError
+from dosplan.report.figures import style
+from dosplan.report.figures.sources import Published
+
+MODEL: Final = "trajectory network"
+BESIDE: Final = "PR z=1.0"
+# Shapes of `dosplan.evaluation.limits`: title, colour, marker, line.
+SHAPES: Final = {
+    "circle": ("circle", style.VERMILION, "o", "-"),
+    "theta=pi/4": (r"ellipse, $\theta$ = $\pi$/4", style.ORANGE, "D", "-"),
+    "theta=0": (r"ellipse, $\theta$ = 0", style.GREEN, "s", "-"),
+    "v1": ("ellipse, v1", style.PURPLE, "^", "--"),
+    "v2": ("ellipse, v2", style.SKY, "v", ":"),
+    "free": (r"ellipse, $\theta$ free", style.BLUE, "P", "-"),
+}
+
+
+def draw(published: Published) -> Figure:
+    """Draws the figure.
+
+    Args:
+        published: The results.
+
+    Returns:
+        A figure of a column's width.
+
+    Raises:
+        FileError: The evaluation is missing or lacks the limits.
+    """
+    evaluation = published.evaluation("prediction")
+    beside = evaluation.of(BESIDE)
+    figure = style.new_figure(style.COLUMN, 3.2)
+    axes = figure.add_subplot()
+    axes.plot(beside.horizon, beside.area, "x-.", color=style.INK, label="PR, z = 1 (as predicted)")
+    for shape, (title, colour, marker, line) in SHAPES.items():
+        if (MODEL, "all", shape) not in evaluation.limits:
+            raise FileError(f"{evaluation.path} has no upper limits {shape!r} of {MODEL!r}")
+        axes.plot(
+            beside.horizon,
+            evaluation.limits[MODEL, "all", shape],
+            marker=marker,
+            linestyle=line,
+            color=colour,
+            label=title,
+        )
+    axes.set_yscale("log")
+    style.mark_decades(axes.yaxis)
+    axes.set(xlabel="prediction horizon, s", ylabel="mean area, m²", xticks=beside.horizon)
+    figure.legend(loc="outside lower center", ncols=2)
+    return figure

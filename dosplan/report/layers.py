@@ -1,0 +1,186 @@
+"""What moves in a drawn scene: bodies, sets, lines, each of them set anew at every step.
+
+A layer makes its artists once; to show another step is to change their data, which is what makes
+drawing a film quick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, PathCollection, PolyCollection
+from matplotlib.colors import LinearSegmentedColormap
+
+from dosplan.geometry import rectangle_corners, to_world
+from dosplan.types import FloatArray, IntArray, RoadUserKind, Tracks
+
+INK: Final = "#222222"
+SET_COLOURS: Final = LinearSegmentedColormap.from_list("sets", ["#00876c", "#e0a030", "#c2347a"])
+"""Colour of a set by its step, from the first predicted one to the last."""
+
+_NOSE: Final = "#ffffff"
+_EDGE: Final = (1.0, 1.0, 1.0, 0.9)  # Sets are translucent, so that those below are seen.
+_AREA: Final = (1.0, 1.0, 1.0, 0.25)
+_POINT: Final = 14.0  # Area of a predicted position, square points.
+
+
+class Bodies:
+    """Bodies seen from above, each with an arrow head: it tells where they are heading."""
+
+    def __init__(self, axes: Axes, zorder: float, line: float = 0.4) -> None:
+        """Makes the artists; nobody is shown yet.
+
+        Args:
+            axes: Where to draw.
+            zorder: Height among the other layers.
+            line: Width of an outline, points.
+        """
+        self._line = line
+        self._bodies = PolyCollection([], zorder=zorder)
+        self._noses = PolyCollection([], facecolors=_NOSE, alpha=0.8, zorder=zorder)
+        self.artists: tuple[Artist, ...] = (self._bodies, self._noses)
+        axes.add_collection(self._bodies, autolim=False)
+        axes.add_collection(self._noses, autolim=False)
+
+    def show(
+        self,
+        poses: FloatArray,
+        sizes: FloatArray,
+        colours: Sequence[str],
+        outlines: Sequence[FloatArray | None] | None = None,
+        marked: Mapping[int, str] | None = None,
+    ) -> None:
+        """Shows bodies in the place of those before.
+
+        Args:
+            poses: (N, 3) x, y, m, and heading, rad.
+            sizes: (N, 2) length and width, m.
+            colours: N colours.
+            outlines: N polygons in the body frame where a body is no rectangle, None where it is.
+            marked: Colour of a thick outline, by index of the body.
+        """
+        shapes = outlines or [None] * len(poses)
+        corners = [
+            rectangle_corners(pose, size) if shape is None else to_world(shape, pose)
+            for pose, size, shape in zip(poses, sizes, shapes, strict=True)
+        ]
+        edges, lines = [INK] * len(corners), [self._line] * len(corners)
+        for index, colour in (marked or {}).items():
+            edges[index], lines[index] = colour, 2.4
+        self._bodies.set_verts(corners)
+        self._bodies.set_facecolor(list(colours))
+        self._bodies.set_edgecolor(edges)
+        self._bodies.set_linewidth(lines)
+        self._noses.set_verts([_nose(*body) for body in zip(poses, sizes, strict=True)])
+
+
+class Users(Bodies):
+    """The recorded road users."""
+
+    def __init__(
+        self, axes: Axes, tracks: Tracks, colours: Mapping[RoadUserKind, str], zorder: float
+    ) -> None:
+        """Makes the artists; nobody is shown yet.
+
+        Args:
+            axes: Where to draw.
+            tracks: The recording.
+            colours: Colour of each kind.
+            zorder: Height among the other layers.
+        """
+        super().__init__(axes, zorder)
+        self._tracks, self._colours = tracks, colours
+
+    def show_step(self, step: int, marked: Mapping[int, str] | None = None) -> None:
+        """Shows whoever is on the scene.
+
+        Args:
+            step: Step of the recording; once that is over nobody is left.
+            marked: Colour of a thick outline, by id of the road user.
+        """
+        tracks = self._tracks
+        here = on_scene(tracks, step)
+        ids = tracks.ids[here].tolist()
+        self.show(
+            tracks.states[here, step, :3] if len(here) else np.empty((0, 3)),
+            tracks.size[here],
+            [self._colours[tracks.kinds[user]] for user in here],
+            [tracks.outlines[user] for user in here],
+            {ids.index(user): colour for user, colour in (marked or {}).items() if user in ids},
+        )
+
+
+class Sets:
+    """Predicted sets, coloured by their step; those without an extent are points."""
+
+    def __init__(self, axes: Axes, zorder: float) -> None:
+        """Makes the artists; there is no set yet.
+
+        Args:
+            axes: Where to draw.
+            zorder: Height among the other layers.
+        """
+        self._ellipses = EllipseCollection(
+            [],
+            [],
+            [],
+            units="xy",
+            offsets=np.empty((0, 2)),
+            offset_transform=axes.transData,
+            linewidths=0.8,
+            zorder=zorder,
+        )
+        axes.add_collection(self._ellipses, autolim=False)
+        self._points: PathCollection = axes.scatter([], [], s=_POINT, linewidths=0, zorder=zorder)
+        self.artists: tuple[Artist, ...] = (self._ellipses, self._points)
+
+    def show(
+        self, centres: FloatArray, semi_axes: FloatArray, angles: FloatArray, shares: FloatArray
+    ) -> None:
+        """Shows sets in the place of those before; what is NaN is left out.
+
+        Args:
+            centres: (M, 2) m.
+            semi_axes: (M, 2) m.
+            angles: (M,) direction of the first semi-axis, rad.
+            shares: (M,) when each is to hold: 0 at the first predicted step, 1 at the last.
+        """
+        # Sets grow with time: the far ones are drawn first, so that none hides another.
+        order = np.argsort(-shares, kind="stable")
+        order = order[np.isfinite(centres[order]).all(axis=-1)]
+        extended = (semi_axes[order] > 0.0).all(axis=-1)
+        sets, points = order[extended], order[~extended]
+        colours = SET_COLOURS(shares)
+        self._ellipses.set_offsets(centres[sets])
+        self._ellipses.set_widths(2.0 * semi_axes[sets, 0])
+        self._ellipses.set_heights(2.0 * semi_axes[sets, 1])
+        self._ellipses.set_angles(np.rad2deg(angles[sets]))
+        self._ellipses.set_edgecolor((colours[sets] * _EDGE).tolist())
+        self._ellipses.set_facecolor((colours[sets] * _AREA).tolist())
+        self._points.set_offsets(centres[points])
+        self._points.set_facecolor(colours[points].tolist())
+
+
+def on_scene(tracks: Tracks, step: int) -> IntArray:
+    """Finds who is there.
+
+    Args:
+        tracks: The recording.
+        step: A step; once the recording is over nobody is left.
+
+    Returns:
+        Indices of the road users.
+    """
+    # A slice, which may be empty: an index past the end would be refused.
+    return np.flatnonzero(tracks.valid[:, step : step + 1].any(axis=1)).astype(np.int64)
+
+
+def _nose(pose: FloatArray, size: FloatArray) -> FloatArray:
+    """(3, 2) an arrow head in the front half of a body, m."""
+    length, width = size
+    head = np.array([[0.46 * length, 0.0], [0.18 * length, 0.36 * width]])
+    return to_world(np.array([*head, head[1] * (1.0, -1.0)]), pose)

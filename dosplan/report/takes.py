@@ -1,0 +1,202 @@
+"""What a film is made of: episodes of a run, a drive made for it, or the recording alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+import shapely
+
+from dosplan.explain.drive import Drive
+from dosplan.files import FileError, write_bytes
+from dosplan.geometry import rectangle_corners, to_world
+from dosplan.library import run_episode
+from dosplan.recorded import find_recorded
+from dosplan.recording import load_recording, pack_recording
+from dosplan.registry import create_planner, create_predictor
+from dosplan.report.scene import EGO_COLOUR
+from dosplan.scenario import ScenarioRef, load_scenario
+from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Outcome, Scenario, Score
+from dosplan.vehicle import VehicleParameters
+
+ARM_NAMES: Final = MappingProxyType({Arm.WITHOUT_DOS: "without DOS", Arm.WITH_DOS: "with DOS"})
+"""The arms in the order in which they are shown."""
+
+ARM_COLOURS: Final = MappingProxyType({Arm.WITHOUT_DOS: "#d55e00", Arm.WITH_DOS: "#0072b2"})
+"""Colour of the ego in each arm: that of the page of a run."""
+
+
+@dataclass(frozen=True)
+class Take:
+    """What a panel shows.
+
+    Attributes:
+        name: Its heading.
+        colour: Colour of the ego.
+        scenario: The scene.
+        row: The row, or None where nobody drove: the ego stands at its start.
+        drive: The drive, or None where there is none.
+    """
+
+    name: str
+    colour: str
+    scenario: Scenario
+    row: Score | None = None
+    drive: Drive | None = None
+
+    @property
+    def start(self) -> int:
+        """Step of the first picture."""
+        return self.scenario.task.start_step
+
+    @property
+    def end(self) -> int:
+        """Step of the last picture: the end of the drive, or of the task where nobody drives."""
+        if self.drive is not None:
+            return self.start + self.drive.row.steps
+        task, recorded = self.scenario.task, self.scenario.tracks.steps - 1
+        if self.row is not None:
+            return self.start
+        return max(self.start, min(task.final_step, recorded))
+
+    @property
+    def moment(self) -> int:
+        """Step that decided the outcome; the first one where nobody drove."""
+        return self.start if self.drive is None else self.drive.decisive_step
+
+    @property
+    def ego(self) -> FloatArray:
+        """(K + 1, 4) x, y, m, heading, rad, and velocity, m/s, of the ego's centre."""
+        if self.drive is not None:
+            return self.drive.ego
+        start = self.scenario.task.start[None]
+        return np.column_stack([VehicleParameters().poses(start), start[:, EGO_VELOCITY]])
+
+    @property
+    def verdict(self) -> str:
+        """What became of it, in words; empty where nobody drove."""
+        if self.row is None:
+            return ""
+        words = self.row.outcome.value.replace("_", " ")
+        if self.row.outcome is Outcome.COLLISION and self.row.collision_with is not None:
+            ids = self.scenario.tracks.ids.tolist()
+            kind = self.scenario.tracks.kinds[ids.index(self.row.collision_with)]
+            words = f"{words} with {kind.value} {self.row.collision_with}"
+        return words if self.drive is None else f"{words}, {self.seconds(self.moment):.1f} s"
+
+    @property
+    def place(self) -> FloatArray:
+        """(2,) where the outcome was decided, m: the contact of a collision, else the ego."""
+        pose = self.ego[min(self.moment - self.start, len(self.ego) - 1), :3]
+        if self.drive is None or self.drive.row.collision_step != self.moment:
+            return np.asarray(pose[:2])
+        tracks = self.scenario.tracks
+        user = tracks.ids.tolist().index(self.drive.row.collision_with)
+        other, outline = tracks.states[user, self.moment, :3], tracks.outlines[user]
+        if outline is None:
+            touched = rectangle_corners(other, tracks.size[user])
+        else:
+            touched = to_world(outline, other)
+        ego = shapely.Polygon(rectangle_corners(pose, VehicleParameters().size))
+        line = shapely.shortest_line(ego, shapely.Polygon(touched))
+        return np.asarray(shapely.centroid(line).coords[0])
+
+    def seconds(self, step: int) -> float:
+        """Time of a step since the start, s."""
+        return (step - self.start) * STEP_SECONDS
+
+
+Takes = tuple[list[Take], str]
+"""The takes, and a line that says what they are."""
+
+
+def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | None) -> Takes:
+    """The episodes of a scenario in a run.
+
+    Args:
+        run: The run folder.
+        scenario: Id of the scenario.
+        arms: Arms that are wanted; those that the run does not drive are left out.
+        source: Where the scenarios lie now; where the run found them if None.
+
+    Returns:
+        A take for each arm.
+
+    Raises:
+        FileError: The folder holds no such episode, or none that ever drove, or its scenario
+            cannot be found or read.
+    """
+    found = find_recorded(run, scenario, arms, source)
+    if found.scenario is None:
+        raise FileError(f"nothing was driven of {scenario} in {run}: {found.rows[0].error}")
+    vehicle = VehicleParameters()
+    takes = {
+        row.arm: _take(
+            found.scenario,
+            row,
+            None if recording is None else Drive(found.scenario, row, recording, vehicle),
+        )
+        for row, recording in zip(found.rows, found.recordings, strict=True)
+    }
+    title = _title(scenario, found.manifest["planner"], found.manifest["predictor"])
+    return [takes[arm] for arm in ARM_NAMES if arm in takes], title
+
+
+def takes_of_drive(
+    ref: ScenarioRef, planner: str, predictor: str, arms: Sequence[Arm], seed: int
+) -> Takes:
+    """Drives a scenario, in this process.
+
+    Args:
+        ref: The scenario.
+        planner: Planner, as ``dosplan.registry`` finds it.
+        predictor: Predictor, likewise.
+        arms: Arms to drive.
+        seed: Seed of everything random.
+
+    Returns:
+        A take for each arm.
+
+    Raises:
+        RegistryError: There is no such plug-in.
+        ScenarioError: The scenario cannot be read.
+    """
+    driver, foreteller = create_planner(planner, seed), create_predictor(predictor, seed)
+    scenario, vehicle = load_scenario(ref), VehicleParameters()
+    takes = []
+    with TemporaryDirectory() as folder:
+        for arm in (arm for arm in ARM_NAMES if arm in arms):
+            driven = run_episode(scenario, driver, foreteller, arm)
+            path = Path(folder) / f"{arm}.npz"
+            write_bytes(path, pack_recording(driven.episode, vehicle))
+            drive = Drive(scenario, driven.score, load_recording(path), vehicle)
+            takes.append(_take(scenario, driven.score, drive))
+    return takes, _title(ref.id, driver.name, foreteller.name)
+
+
+def takes_of_scenario(ref: ScenarioRef) -> Takes:
+    """The recorded traffic, with the ego at its start.
+
+    Args:
+        ref: The scenario.
+
+    Returns:
+        One take.
+
+    Raises:
+        ScenarioError: The scenario cannot be read.
+    """
+    return [Take("recorded traffic", EGO_COLOUR, load_scenario(ref))], ref.id
+
+
+def _take(scenario: Scenario, row: Score, drive: Drive | None) -> Take:
+    return Take(ARM_NAMES[row.arm], ARM_COLOURS[row.arm], scenario, row, drive)
+
+
+def _title(scenario: str, planner: str, predictor: str) -> str:
+    return f"{scenario}  \N{MIDDLE DOT}  {planner} with {predictor}"

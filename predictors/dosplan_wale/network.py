@@ -1,0 +1,82 @@
+"""Wale-Net's network, with the weights and the configuration that its package ships."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from dosplan_wale import INSTALL
+
+try:
+    from prediction.utils.model import predictionNet
+except ImportError as error:
+    raise ImportError(f"{error}; {INSTALL}") from error
+
+
+def shipped(name: str) -> Path:
+    """A file of Wale-Net's package.
+
+    Args:
+        name: Its path there.
+
+    Returns:
+        The file.
+    """
+    return Path(str(resources.files("prediction") / name))
+
+
+def shipped_weights() -> Path:
+    """The weights that ``WaleNet`` uses by default.
+
+    Returns:
+        The file.
+    """
+    return shipped("trained_models/best_model.tar")
+
+
+def read_config() -> dict[str, Any]:
+    """The configuration that these weights belong to.
+
+    Returns:
+        Wale-Net's arguments: without a graphics card and without learning while it drives, as
+        in its ``configs/online/default.json``.
+    """
+    config = json.loads(shipped("configs/best_config.json").read_text(encoding="utf-8"))
+    return {**config, "use_cuda": False, "on_pred_learn_method": None, "online_layer": None}
+
+
+def open_network(config: dict[str, Any], weights: Path) -> nn.Module:
+    """Builds the network.
+
+    The weights are a pickle, which can run code; torch's reader for tensors alone is used.
+
+    Args:
+        config: Wale-Net's arguments.
+        weights: The file.
+
+    Returns:
+        The network, for prediction only.
+
+    Raises:
+        ValueError: The file holds no such weights, or something else beside them.
+    """
+    with torch.random.fork_rng(devices=[]):  # The constructor sets the seed of the whole process.
+        network: nn.Module = predictionNet(config)
+    try:
+        network.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
+    except (OSError, RuntimeError, TypeError, EOFError, pickle.UnpicklingError) as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise ValueError(f"{weights}: not the weights of Wale-Net ({reason}); {INSTALL}") from None
+    network.eval().requires_grad_(False)
+    for name, weight in network.named_parameters():
+        # The layers that read the image, which take most of the time: so they are four times as
+        # quick. Of a single channel, ``contiguous`` would leave the strides as they are.
+        if name.startswith("sc_conv") and weight.ndim == 4:
+            weight.data = weight.data.to(memory_format=torch.channels_last)
+    return network

@@ -1,0 +1,139 @@
+"""``wale-net-v1``: the pretrained Wale-Net, whose Gaussians become ellipses.
+
+Geisslinger, Karle et al., https://github.com/TUMFTM/Wale-Net, as its class ``WaleNet`` drives it,
+with two differences: road users go through the network together, and the last position it is shown
+is the present one. ``WaleNet`` counts the states of an obstacle from the one after its first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import torch
+from dosplan_net.predictor import placed
+
+from dosplan.api import Predictor
+from dosplan.types import (
+    USER_HEADING,
+    FloatArray,
+    IntArray,
+    Observation,
+    Occupancy,
+    PlanningTask,
+    RoadMap,
+)
+from dosplan_wale.gaussians import ellipses
+from dosplan_wale.network import open_network, read_config, shipped_weights
+from dosplan_wale.scene import RoadImages, describe
+
+# Road users that go through the network at once. Of more, what the first layers make of the images,
+# 8 MB each, leaves the processor's cache, and all of them together take longer.
+_TOGETHER: Final = 2
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The options of Wale-Net.
+
+    Attributes:
+        coverage: Probability, in (0, 1), that the Gaussian gives the ellipse at each step.
+        threads: Threads that the network may use.
+    """
+
+    coverage: float = 0.9
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.coverage < 1.0:
+            raise ValueError(f"coverage is {self.coverage}, expected a share between 0 and 1")
+        if self.threads < 1:
+            raise ValueError(f"threads is {self.threads}, expected 1 or more")
+
+
+class WaleNetPredictor(Predictor):
+    """Wale-Net; parked and static road users, which it does not know, stay where they are."""
+
+    name = "wale-net-v1"
+    settings = Settings
+
+    def __init__(
+        self, *, seed: int = 0, horizon: int = 40, settings: Settings = Settings()
+    ) -> None:
+        """Loads the network.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            horizon: Number T of steps to predict, at most 40.
+            settings: The options.
+
+        Raises:
+            ValueError: The horizon is longer than the network's, or its weights cannot be read.
+        """
+        super().__init__(seed=seed, horizon=horizon)
+        config = read_config()
+        longest = config["out_length"]
+        if horizon > longest:
+            raise ValueError(f"{self.name} predicts {longest} steps at most, asked for {horizon}")
+        self._chosen = settings
+        self._steps: int = config["in_length"]
+        self._radius: float = config["watch_radius"]
+        self._network = open_network(config, shipped_weights())
+
+    @classmethod
+    def weight_files(cls) -> tuple[Path, ...]:
+        """The weights of Wale-Net's package.
+
+        Returns:
+            Their file.
+        """
+        return (shipped_weights(),)
+
+    def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
+        """Reads the map.
+
+        Args:
+            task: Start, goal and route of the ego; not looked at.
+            road_map: The map.
+        """
+        self._images = RoadImages(road_map, self._radius)
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        """Runs the network.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            The means of the Gaussians, and ellipses that hold the chosen share of them.
+        """
+        moving = np.flatnonzero(observation.moves)
+        heading = observation.states[moving, -1, USER_HEADING]
+        told = self._gaussians(observation, moving, heading)
+        # Wale-Net looks along y, dosplan along x.
+        forward = np.stack([told[..., 1], -told[..., 0]], axis=-1)
+        trajectory = placed(observation, moving, forward)
+        semi_axes, angle = np.array(trajectory.semi_axes), np.array(trajectory.angle)
+        semi_axes[moving], direction = ellipses(told[..., 2:], self._chosen.coverage)
+        angle[moving] = direction + (heading - 0.5 * np.pi)[:, None]
+        return replace(trajectory, semi_axes=semi_axes, angle=angle)
+
+    def _gaussians(
+        self, observation: Observation, moving: IntArray, heading: FloatArray
+    ) -> FloatArray:
+        """(M, T, 5) means, reciprocal standard deviations and correlation in Wale-Net's frames."""
+        seen = observation.states[moving, -self._steps :, :2]
+        past = np.full((len(moving), self._steps, 2), np.nan)
+        past[:, self._steps - seen.shape[1] :] = seen
+        torch.set_num_threads(self._chosen.threads)  # For the whole process.
+        told = [np.zeros((0, self.horizon, 5))]
+        for start in range(0, len(moving), _TOGETHER):
+            rows = np.arange(start, min(start + _TOGETHER, len(moving)))
+            inputs = describe(past, heading, rows, self._images)
+            history, neighbours = map(torch.from_numpy, (inputs.history, inputs.neighbours))
+            with torch.inference_mode():
+                found = self._network(history, neighbours, torch.from_numpy(inputs.images))
+            told.append(found[: self.horizon].transpose(0, 1).double().numpy())
+        return np.concatenate(told)

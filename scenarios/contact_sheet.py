@@ -1,7 +1,4 @@
-"""Draws one scenario of each road kind: ``python scenarios/contact_sheet.py``.
-
-Needs the extra ``dosplan[report]`` (matplotlib).
-"""
+"""Draws one scenario of each road kind: ``python scenarios/contact_sheet.py``."""
 
 from __future__ import annotations
 

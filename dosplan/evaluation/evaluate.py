@@ -26,7 +26,7 @@ from dosplan.evaluation.summary import scales, summarise
 from dosplan.evaluation.windows import HORIZONS
 from dosplan.provenance import describe_environment
 from dosplan.registry import one_line
-from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
+from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_recording
 from dosplan.types import HISTORY_STEPS
 from dosplan.workers import cause_of_death, seed_globals, worker_pool
 
@@ -145,7 +145,7 @@ def sample_path(ref: ScenarioRef, methods: str, every: int, seed: int) -> FileSa
     predictors = _predictors(methods, seed)
     seed_globals(seed)
     try:
-        return sample_file(load_scenario(ref), predictors, every)
+        return sample_file(load_recording(ref), predictors, every)
     except ScenarioError as error:
         return str(error)  # It names the file.
     except PredictionError as error:

@@ -9,7 +9,14 @@ from dosplan.scenario.catalogue import ScenarioRef, find_scenarios
 from dosplan.scenario.document import ScenarioError, read_file
 from dosplan.types import Scenario
 
-__all__ = ["ScenarioError", "ScenarioRef", "find_scenarios", "load_scenario"]
+__all__ = [
+    "ScenarioError",
+    "ScenarioRef",
+    "find_scenarios",
+    "load_recording",
+    "load_scenario",
+    "parse_scenario",
+]
 
 
 def load_scenario(ref: ScenarioRef | str | Path, *, cached: bool = False) -> Scenario:
@@ -33,17 +40,50 @@ def load_scenario(ref: ScenarioRef | str | Path, *, cached: bool = False) -> Sce
     ref = ref if isinstance(ref, ScenarioRef) else ScenarioRef(Path(ref), "")
     content = read_file(ref.path)
     if not cached:
-        return _parse(ref, content)
+        return parse_scenario(ref, content)
     from dosplan.scenario import cache
 
-    return cache.cached(ref, content, lambda: _parse(ref, content))
+    return cache.cached(ref, content, lambda: parse_scenario(ref, content))
 
 
-def _parse(ref: ScenarioRef, content: bytes) -> Scenario:
+def load_recording(ref: ScenarioRef | str | Path) -> Scenario:
+    """Reads an episode for the sake of its road users.
+
+    Unlike ``load_scenario`` it takes files without a planning problem: their ego stands where the
+    map's first lanelet begins. What is predicted does not depend on the ego.
+
+    Args:
+        ref: The episode, or a file that holds one planning problem or none.
+
+    Returns:
+        The scenario.
+
+    Raises:
+        ScenarioError: The file cannot be used; one line that says why.
+    """
+    ref = ref if isinstance(ref, ScenarioRef) else ScenarioRef(Path(ref), "")
+    return parse_scenario(ref, read_file(ref.path), onlooker=True)
+
+
+def parse_scenario(ref: ScenarioRef, content: bytes, *, onlooker: bool = False) -> Scenario:
+    """Makes one episode of what a file holds.
+
+    Args:
+        ref: The episode; its path stands in messages and tells by its ending what is compressed.
+        content: What the file holds.
+        onlooker: Whether a file without a planning problem is given an ego, see
+            ``load_recording``.
+
+    Returns:
+        The scenario.
+
+    Raises:
+        ScenarioError: The file cannot be used.
+    """
     # commonroad-io, networkx and scipy take half a second to import, which listing does not need.
     # Importing it warns of the protobuf bindings it was generated with, which nobody can help.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         from dosplan.scenario.reader import read_scenario
 
-    return read_scenario(ref, content)
+    return read_scenario(ref, content, onlooker=onlooker)

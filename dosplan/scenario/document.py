@@ -173,9 +173,7 @@ def read_document(path: Path, content: bytes) -> Document:
         ScenarioError: The file is not a CommonRoad scenario that can be used.
     """
     data = unpacked(path, content)
-    # Safe on foreign text: _Builder refuses the declarations that the known attacks need.
-    parser = ElementTree.XMLParser(target=_Builder())  # noqa: S314
-    root = _parse(path, lambda: ElementTree.fromstring(data, parser=parser))  # noqa: S314
+    root = parse_xml(path, data)
     problem = _objection(root)
     if problem is not None:
         raise ScenarioError(path, problem)
@@ -191,6 +189,28 @@ def read_document(path: Path, content: bytes) -> Document:
             if lanelet.find("userBidirectional") is not None
         ),
     )
+
+
+def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
+    """Parses foreign XML safely.
+
+    Args:
+        path: The file, for messages.
+        data: What it holds, decompressed.
+
+    Returns:
+        The root of the tree.
+
+    Raises:
+        ScenarioError: It is no XML, or has a document type.
+    """
+    # Safe on foreign text: _Builder refuses the declarations that the known attacks need.
+    parser = ElementTree.XMLParser(target=_Builder())  # noqa: S314
+    root: ElementTree.Element = _parse(
+        path,
+        lambda: ElementTree.fromstring(data, parser=parser),  # noqa: S314
+    )
+    return root
 
 
 def _parse(path: Path, parse: Callable[[], Any]) -> Any:
@@ -220,7 +240,6 @@ def _objection(root: ElementTree.Element) -> str | None:
         (not root.get("benchmarkID"), "has no benchmarkID; add one to its root element"),
         (not lanelets, "has no lanelets; a scenario needs a map"),
         (bool(repeated), f"names lanelet {', '.join(repeated)} twice; give it another id"),
-        (root.find("planningProblem") is None, "has no planning problem; add one"),
         (
             root.find(".//occupancySet") is not None or root.find("phantomObstacle") is not None,
             "has set-based predictions; only recorded trajectories can be replayed",

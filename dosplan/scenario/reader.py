@@ -11,7 +11,10 @@ from typing import Any, Final
 import numpy as np
 import shapely
 from commonroad.common.file_reader import CommonRoadFileReader
-from commonroad.common.util import FileFormat
+from commonroad.common.util import FileFormat, Interval
+from commonroad.planning.goal import GoalRegion
+from commonroad.planning.planning_problem import PlanningProblem
+from commonroad.scenario.state import CustomState, InitialState
 
 from dosplan.scenario.catalogue import ScenarioRef
 from dosplan.scenario.document import Document, ScenarioError, read_document
@@ -41,12 +44,13 @@ _MIN_STEERING_SPEED: Final = 1.0
 _ALONG_ROUTE: Final = 0.87  # Cosine of the largest angle to the route at which it is followed.
 
 
-def read_scenario(ref: ScenarioRef, content: bytes) -> Scenario:
+def read_scenario(ref: ScenarioRef, content: bytes, *, onlooker: bool = False) -> Scenario:
     """Makes one episode of a file's content.
 
     Args:
         ref: The episode; an empty ``id`` stands for the one the file gives it.
         content: What its file holds, compressed or not.
+        onlooker: Whether a file without a planning problem is given an ego that looks on.
 
     Returns:
         The scenario.
@@ -58,7 +62,10 @@ def read_scenario(ref: ScenarioRef, content: bytes) -> Scenario:
     try:
         with _quiet():
             source, problems = CommonRoadFileReader(document.data, FileFormat.XML).open()
-            return _scenario(document, ref, source, problems.planning_problem_dict)
+            listed = problems.planning_problem_dict
+            if not listed and onlooker:
+                listed = {0: _onlooker(source)}
+            return _scenario(document, ref, source, listed)
     except ScenarioError:
         raise
     except Exception as error:  # commonroad-io raises whatever it meets
@@ -137,7 +144,27 @@ def _scenario(
     )
 
 
+def _onlooker(source: Any) -> PlanningProblem:
+    """The problem of an ego that stands where the map's first lanelet begins, to the very end."""
+    lanelet = source.lanelet_network.lanelets[0]
+    along = lanelet.center_vertices[1] - lanelet.center_vertices[0]
+    start = InitialState(
+        time_step=0,
+        position=lanelet.center_vertices[0][:2],
+        orientation=float(np.arctan2(along[1], along[0])),
+        velocity=0.0,
+        acceleration=0.0,
+        yaw_rate=0.0,
+        slip_angle=0.0,
+    )
+    predictions = [obstacle.prediction for obstacle in source.dynamic_obstacles]
+    last = max([int(p.final_time_step) for p in predictions if p is not None], default=1)
+    return PlanningProblem(0, start, GoalRegion([CustomState(time_step=Interval(0, last))]))
+
+
 def _choose(ref: ScenarioRef, problems: dict[int, Any]) -> Any:
+    if not problems:
+        raise ScenarioError(ref.path, "has no planning problem; add one")
     if ref.problem_id is None and len(problems) > 1:
         known = ", ".join(str(name) for name in sorted(problems))
         raise ScenarioError(ref.path, f"holds the planning problems {known}; name one of them")

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from dosplan.evaluation.groups import SIMULATED
 from dosplan.files import write_json
 from dosplan.geometry import to_body, wrap_angle
-from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
+from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_recording
 from dosplan.simulation import observe
 from dosplan.types import Scenario
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
@@ -218,7 +218,7 @@ def _extract_to(job: tuple[ScenarioRef, Path, int]) -> str | None:
     if _readable(shard):
         return None
     try:
-        scenario = load_scenario(ref)
+        scenario = load_recording(ref)
     except ScenarioError as error:
         return str(error)
     arrays = _extract(scenario, every)

@@ -85,7 +85,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns:
         Exit status.
     """
-    from dosplan.scenario import find_scenarios, load_scenario
+    from dosplan.scenario import find_scenarios, load_recording
 
     parser = argparse.ArgumentParser(prog="python -m dosplan_simple.measure", description=__doc__)
     parser.add_argument("folder", type=Path, help="folder of CommonRoad recordings")
@@ -102,7 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
     first = {ref.path: ref for ref in reversed(find_scenarios(parsed.folder))}
     folder = f"{parsed.folder.parent.name}/{parsed.folder.name}"
     table = measure(
-        (load_scenario(ref) for ref in first.values()),
+        (load_recording(ref) for ref in first.values()),
         find_predictor(parsed.predictor)(horizon=parsed.horizon),
         command=(
             f"python -m dosplan_simple.measure {folder} --out {parsed.out.name} "

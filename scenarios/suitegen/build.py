@@ -13,9 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from dosplan.scenario.drafts import Goal
+from dosplan.scenario.writer import compress
 from dosplan.types import FloatArray
 
-from .commonroad_xml import Goal, compress, scenario_xml
+from .commonroad_xml import moment_xml
 from .lanelets import convert
 from .motion import motions
 from .networks import ROAD_KINDS
@@ -135,7 +137,7 @@ def build(place: Place, seed: int) -> Built:
             choosy = attempt < PATIENCE
             conflicts = RARE if place.wants_rare and choosy else ALL
             for moment in islice(moments(recording, road.focus, conflicts, rng), CANDIDATES):
-                xml = scenario_xml(
+                xml = moment_xml(
                     place.benchmark_id,
                     f"generated with SUMO {version('eclipse-sumo')}, seed {seed}",
                     road.tags,

@@ -8,8 +8,6 @@ and across the joints, so that the union of the lanelets has no slits.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
-from dataclasses import dataclass, field
 from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from typing import Any
 import numpy as np
 import sumolib
 
+from dosplan.scenario.drafts import Incoming, Intersection, LaneletDraft, LaneletMap, Light
 from dosplan.types import FloatArray
 
 from .tapers import taper
@@ -37,85 +36,6 @@ INTERSECTION_ROADS = 3
 
 DIRECTIONS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right"}
 COLOURS = {"G": "green", "g": "green", "y": "yellow", "r": "red", "u": "redYellow", "s": "red"}
-
-
-@dataclass
-class LaneletDraft:
-    """A lanelet in the making.
-
-    Attributes:
-        id: CommonRoad id.
-        left: (P, 2) m.
-        right: (P, 2) m.
-        kind: CommonRoad lanelet type.
-        users: Who drives here one way.
-        speed: Limit, m/s, or None.
-        both_ways: Who uses it in both directions.
-        successors: Ids.
-        predecessors: Ids.
-        adjacent_left: Id and whether it has the same direction, or None.
-        adjacent_right: The same on the right.
-        lights: Ids of the signals at its end.
-    """
-
-    id: int
-    left: FloatArray
-    right: FloatArray
-    kind: str
-    users: tuple[str, ...]
-    speed: float | None = None
-    both_ways: tuple[str, ...] = ()
-    successors: list[int] = field(default_factory=list)
-    predecessors: list[int] = field(default_factory=list)
-    adjacent_left: tuple[int, bool] | None = None
-    adjacent_right: tuple[int, bool] | None = None
-    lights: list[int] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Light:
-    """A signal for one direction of one lane.
-
-    Attributes:
-        id: CommonRoad id.
-        position: m.
-        direction: ``left``, ``straight``, ``right``.
-        cycle: Colour and duration in steps of each part of the cycle, which begins at SUMO's
-            time 0.
-    """
-
-    id: int
-    position: FloatArray
-    direction: str
-    cycle: tuple[tuple[str, int], ...]
-
-
-@dataclass(frozen=True)
-class Incoming:
-    """A road into an intersection: its lanelets and theirs inside, by direction."""
-
-    id: int
-    lanelets: tuple[int, ...]
-    inside: dict[str, tuple[int, ...]]
-
-
-@dataclass(frozen=True)
-class Intersection:
-    """A junction of ``INTERSECTION_ROADS`` roads or more."""
-
-    id: int
-    incomings: tuple[Incoming, ...]
-    crossings: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class LaneletMap:
-    """A whole map; ``free_ids`` goes on where its ids end."""
-
-    lanelets: tuple[LaneletDraft, ...]
-    lights: tuple[Light, ...]
-    intersections: tuple[Intersection, ...]
-    free_ids: Iterator[int]
 
 
 def resample(line: FloatArray, number: int) -> FloatArray:

@@ -1,0 +1,117 @@
+"""Windows of a record: all of it in pieces, and the moments in which a vehicle becomes the ego."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from dosplan.convert.sind import Track
+from dosplan.types import HISTORY_STEPS, FloatArray
+
+PIECE: Final = 600
+"""Steps of a piece of a record: a minute."""
+DRIVE: Final = (45, 80)
+"""Least and largest number of steps of the ego's recorded drive."""
+SLACK: Final = 25
+"""Steps for which recording and goal last after the recorded arrival."""
+EARLY: Final = 20
+"""Steps before the recorded arrival from which the goal counts."""
+START_STRIDE: Final = 20
+"""Steps between two starts of one vehicle that are looked at."""
+MIN_START_SPEED: Final = 3.0
+"""Least speed at the ego's start, m/s."""
+BRAKING: Final = 3.0
+"""Deceleration of the stop that must end short of the arrival, m/s2, ..."""
+MARGIN: Final = 12.0
+"""... by this much, m."""
+EGO_LABEL: Final = "car"
+"""The only kind that dosplan's ego, a car, can stand in for."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A vehicle and a stretch of its drive that make a planning problem.
+
+    Attributes:
+        ego: The vehicle that is taken out.
+        first: Step of the record that becomes step 0.
+        start: Step of the record at which the ego starts.
+        arrival: Step of the record at which its recorded drive ends.
+    """
+
+    ego: Track
+    first: int
+    start: int
+    arrival: int
+
+    @property
+    def last(self) -> int:
+        """Last step of the record that belongs to the scenario."""
+        return self.arrival + SLACK
+
+    def drive(self) -> FloatArray:
+        """(K, 4) states of the recorded drive from start to arrival."""
+        return self.ego.window(self.start, self.arrival)
+
+
+def pieces(tracks: Sequence[Track]) -> Iterator[tuple[int, int, int]]:
+    """Cuts a record into pieces that do not overlap.
+
+    Args:
+        tracks: Everyone.
+
+    Yields:
+        Number from 1 on, first and last step of each piece in which there is anybody.
+    """
+    end = max(track.last for track in tracks)
+    for number, first in enumerate(range(0, end + 1, PIECE), start=1):
+        last = min(first + PIECE - 1, end)
+        if any(present(tracks, first, last)):
+            yield number, first, last
+
+
+def present(
+    tracks: Sequence[Track], first: int, last: int
+) -> Iterator[tuple[int, Track, int, FloatArray]]:
+    """Who is there in a window, at two steps or more.
+
+    Args:
+        tracks: Everyone.
+        first: First step of the window.
+        last: Last step of it.
+
+    Yields:
+        Index of each, the track, the first step that lies in the window and the states there.
+    """
+    for index, track in enumerate(tracks):
+        begin, end = max(track.first, first), min(track.last, last)
+        if end > begin:
+            yield index, track, begin, track.window(begin, end)
+
+
+def moments(track: Track) -> Iterator[Moment]:
+    """Stretches of a vehicle's drive that ask an ego for driving, in the order of time.
+
+    Args:
+        track: The vehicle, of ``EGO_LABEL``.
+
+    Yields:
+        A moment for each start at which the drive is long enough, moves, and goes further than
+        braking would.
+    """
+    least, most = DRIVE
+    for start in range(max(track.first, 0), track.last - least + 1, START_STRIDE):
+        arrival = min(start + most, track.last)
+        moment = Moment(track, max(start - HISTORY_STEPS + 1, 0), start, arrival)
+        if _asks_for_driving(moment.drive()):
+            yield moment
+
+
+def _asks_for_driving(states: FloatArray) -> bool:
+    """Whether braking to a stop from the start ends short of the recorded arrival."""
+    speed = states[0, 3]
+    way = float(np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1).sum())
+    return bool(speed >= MIN_START_SPEED and way >= speed**2 / (2.0 * BRAKING) + MARGIN)

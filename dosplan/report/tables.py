@@ -186,7 +186,13 @@ def _cells(
 def _title(summary: Mapping[str, Any]) -> str:
     run = summary["run"]
     mark = "" if run["ranked"] else " (unranked: the predictor may see the future)"
-    return f"{run['planner']} with {run['predictor']} on {run['source']}, seed {run['seed']}{mark}"
+    options = (
+        f"{plugin}.{name}={value}"
+        for plugin in ("planner", "predictor")
+        for name, value in run[f"{plugin}_options"].items()
+    )
+    told = ", ".join([f"seed {run['seed']}", *options])
+    return f"{run['planner']} with {run['predictor']} on {run['source']}, {told}{mark}"
 
 
 def _difference_lines(summary: Mapping[str, Any]) -> list[str]:

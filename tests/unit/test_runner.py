@@ -257,6 +257,15 @@ def test_a_folder_that_holds_something_else_is_left_alone(scenes: Path, tmp_path
 
 
 @pytest.mark.usefixtures("in_process")
+def test_a_summary_is_headed_by_what_was_set(scenes: Path, tmp_path: Path) -> None:
+    config = _config(
+        tmp_path / "run", scenes, limit=1, predictor="growing-circle", predictor_options={"z": 0.7}
+    )
+    heading = run(config).summary_text.read_text().splitlines()[0]
+    assert heading.endswith(", seed 0, predictor.z=0.7")
+
+
+@pytest.mark.usefixtures("in_process")
 def test_a_predictor_that_sees_the_future_is_refused_or_marked(
     scenes: Path, tmp_path: Path
 ) -> None:

@@ -21,7 +21,7 @@ _SPEEDS = np.concatenate([np.linspace(0.05, 12.0, 80), np.linspace(12.25, 45.0, 
 _RUN_UP = 1.4  # The reference accelerates faster than it is reckoned with: the plan lags behind.
 _WINDING = 1.5  # m to both sides over which the change of steering is taken.
 _STEERING_SHARE = 1.0  # Share of the steering's rate that the reference speed asks for.
-_AIM = 0.03  # rad that are kept from the edge of a goal's heading window.
+_AIM = 0.06  # rad that are kept from the edge of a goal's heading window.
 _TURN = 0.3  # rad by which the path may miss that window; the ego turns towards it.
 _SHORT = _EDGE + _SAMPLING  # m by which a window's end may be short of the region's edge.
 _CRAWL = 1.0  # m/s below which whoever is too early for a goal waits for it.
@@ -348,7 +348,7 @@ def plan_speed(
     heading, asked = path.at(s)[:, HEADING], inside & (window.heading is not None)
     if window.heading is not None:
         low, high = window.heading
-        aim = min(_AIM, 0.25 * (high - low))
+        aim = min(_AIM, 0.3 * (high - low))
         heading = np.clip(heading, low + aim, high - aim)
     return SpeedProfile(
         reference,

@@ -8,13 +8,17 @@ from typing import Any, Final
 
 import numpy as np
 
+from dosplan.explain.drive import Drive as ScoredDrive
+from dosplan.explain.goal import goal_facts
+from dosplan.files import FileError
 from dosplan.report.html.codec import pack
 from dosplan.report.html.coverage import Foretold, SetsMet, foretold, sets_met
 from dosplan.report.html.episode import Drive, encode_episode
 from dosplan.report.html.scenes import families, is_of
 from dosplan.report.html.sides import Pairing
 from dosplan.report.html.thumbnails import thumbnail
-from dosplan.types import STEP_SECONDS, CollisionClass, FloatArray, Outcome, Scenario, Score, Tracks
+from dosplan.types import STEP_SECONDS, CollisionClass, FloatArray, Outcome, Scenario, Score
+from dosplan.vehicle import VehicleParameters
 
 OUTCOME_WORDS: Final = {
     Outcome.SUCCESS: "success",
@@ -133,8 +137,7 @@ def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
         change=change_of(rows),
         rows=rows,
         why=tuple(
-            _why(row, one, None if scene is None else scene.tracks, drive)
-            for row, one, drive in zip(rows, met, drives, strict=True)
+            _why(row, one, scene, drive) for row, one, drive in zip(rows, met, drives, strict=True)
         ),
         met=met,
         cycle_ms=tuple(np.empty(0) if r is None else r.cycle_ms for r in recordings),
@@ -147,7 +150,7 @@ def _met(drive: Drive, scene: Scenario) -> SetsMet:
     return sets_met(drive.recording, scene.tracks, drive.row.steps)
 
 
-def _why(row: Score, met: SetsMet | None, tracks: Tracks | None, drive: Drive | None) -> str:
+def _why(row: Score, met: SetsMet | None, scene: Scenario | None, drive: Drive | None) -> str:
     """A line on what the outcome came from, as far as row and recording tell."""
     if row.outcome is Outcome.PLANNER_FAILURE:
         return row.error or "no plan and no fallback"
@@ -155,11 +158,13 @@ def _why(row: Score, met: SetsMet | None, tracks: Tracks | None, drive: Drive | 
     when = "" if seconds is None else f" after {seconds:.1f} s"
     if row.outcome is Outcome.OUT_OF_BOUNDS:
         return f"left the road{when}"
+    if row.outcome is Outcome.GOAL_MISSED and scene is not None and drive is not None:
+        return _missed(scene, drive)
     if row.outcome is not Outcome.COLLISION or row.collision_with is None:
         return ""
     user = f"road user {row.collision_with}"
-    if tracks is not None:
-        kinds = dict(zip(tracks.ids.tolist(), tracks.kinds, strict=True))
+    if scene is not None:
+        kinds = dict(zip(scene.tracks.ids.tolist(), scene.tracks.kinds, strict=True))
         user = f"{kinds[row.collision_with].value} {row.collision_with}"
     how = "touched {}" if row.collision_class is None else _CLASS_WORDS[row.collision_class]
     fault = "at fault" if row.at_fault else "not at fault"
@@ -167,6 +172,16 @@ def _why(row: Score, met: SetsMet | None, tracks: Tracks | None, drive: Drive | 
     if met is not None and row.collision_step is not None:
         said = _said(foretold(met, row.collision_with, row.collision_step))
     return f"{how.format(user)}{when}; {fault}{said}"
+
+
+def _missed(scene: Scenario, drive: Drive) -> str:
+    """By how much the goal was missed that the drive came nearest to."""
+    try:
+        scored = ScoredDrive(scene, drive.row, drive.recording, VehicleParameters())
+    except FileError:  # Read anew with other rounding: what is told would be of another drive.
+        return ""
+    nearest = min(goal_facts(scored), key=lambda facts: (facts.distance, abs(facts.late)))
+    return "; ".join(line.partition(": ")[2] for line in nearest.lines())
 
 
 def _said(predictions: Sequence[Foretold]) -> str:

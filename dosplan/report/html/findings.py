@@ -16,7 +16,7 @@ from dosplan.comparison import Difference
 from dosplan.intervals import mean_interval, share_interval
 from dosplan.report.html.cases import OUTCOME_WORDS, Case
 from dosplan.report.html.coverage import Coverage, total
-from dosplan.report.html.sides import Pairing
+from dosplan.report.html.sides import Pairing, Side
 from dosplan.types import STEP_SECONDS, FloatArray, Outcome, Score
 
 _LOOK_AHEAD: Final = (1.0, 2.0, 3.0)  # s; where coverage is given beside collisions.
@@ -24,7 +24,7 @@ _SIGNIFICANT: Final = 0.05
 
 _SHARES: Final[Sequence[tuple[str, str | None, Callable[[Score], bool]]]] = (
     ("Success", "success", lambda row: row.outcome is Outcome.SUCCESS),
-    ("Safe (no collision, on the road)", "safe", lambda row: row.safe),
+    ("Safe (the paper's success)", "safe", lambda row: row.safe),
     ("Collision", "collision", lambda row: row.outcome is Outcome.COLLISION),
     ("At-fault collision", "at_fault_collision", lambda row: row.at_fault),
     ("Out of bounds", None, lambda row: row.outcome is Outcome.OUT_OF_BOUNDS),
@@ -98,32 +98,67 @@ def pooled_cycle_ms(cases: Iterable[Case], side: int) -> FloatArray:
     return np.concatenate([np.empty(0), *(case.cycle_ms[side] for case in cases)])
 
 
-def verdict(pairing: Pairing, cases: Sequence[Case]) -> str:
-    """Says in a few sentences what came out.
+def answer(pairing: Pairing) -> str:
+    """Says in a sentence whether the second side is better than the first.
 
     Args:
         pairing: What is set beside what.
-        cases: Its cases.
 
     Returns:
         Text.
     """
-    last = pairing.sides[-1]
-    reached = sum(row.outcome is Outcome.SUCCESS for row in last.rows.values())
+    last, reached = pairing.sides[-1], [_succeeded(side) for side in pairing.sides]
     if pairing.comparison is None:
-        return f"Success {_name(last.name)} in {reached} of {len(last.rows)} scenarios."
-    first, success = pairing.sides[0], pairing.comparison.success
-    before = sum(row.outcome is Outcome.SUCCESS for row in first.rows.values())
-    counts = Counter(case.change for case in cases)
-    beyond = success.p is not None and success.p < _SIGNIFICANT
-    chance = "hardly chance" if beyond else "a difference that chance may bring about"
+        return f"Success {_name(last.name)} in {reached[-1]} of {len(last.rows)} scenarios."
+    success = pairing.comparison.success
+    found = "No clear difference"
+    if _beyond_chance(success):
+        found = f"{'Better' if success.difference > 0.0 else 'Worse'} {_name(last.name)}"
     return (
-        f"Success {_name(last.name)} in {reached} of {success.n} scenarios, {_name(first.name)} in "
-        f"{before}: {100.0 * success.difference:+.1f} points (95 % interval "
-        f"{100.0 * success.low:+.1f} to {100.0 * success.high:+.1f}). {counts['fixed']} succeeded "
-        f"only {_name(last.name)}, {counts['broken']} only {_name(first.name)}: {chance} "
-        f"(McNemar p = {success.p:.2g})."
+        f"{found}: success in {reached[1]} of {success.n} scenarios {_name(last.name)}, "
+        f"in {reached[0]} {_name(pairing.sides[0].name)}."
     )
+
+
+def grounds(pairing: Pairing) -> list[str]:
+    """Says what the answer rests on, and what failed.
+
+    Args:
+        pairing: What is set beside what.
+
+    Returns:
+        Sentences.
+    """
+    told = []
+    if pairing.comparison is not None:
+        success = pairing.comparison.success
+        verdict = "more than chance brings about" if _beyond_chance(success) else "may be chance"
+        told.append(
+            f"The difference in success is {100.0 * success.difference:+.1f} points (95 % interval "
+            f"{100.0 * success.low:+.1f} to {100.0 * success.high:+.1f}; McNemar p = "
+            f"{success.p:.2g}): {verdict}."
+        )
+    return told + [f"Failed {_name(side.name)}: {_failures(side)}." for side in pairing.sides[::-1]]
+
+
+def _succeeded(side: Side) -> int:
+    return sum(row.outcome is Outcome.SUCCESS for row in side.rows.values())
+
+
+def _beyond_chance(figure: Difference) -> bool:
+    return figure.p is not None and figure.p < _SIGNIFICANT
+
+
+def _failures(side: Side) -> str:
+    """How often each outcome but success came about, the worst ones first."""
+    counts = Counter(row.outcome for row in side.rows.values())
+    at_fault = sum(row.at_fault for row in side.rows.values())
+    words = []
+    for outcome, word in reversed(OUTCOME_WORDS.items()):
+        if outcome is not Outcome.SUCCESS and counts[outcome]:
+            blame = f" ({at_fault} at fault)" if outcome is Outcome.COLLISION else ""
+            words.append(f"{word} {counts[outcome]}{blame}")
+    return ", ".join(words) or "none"
 
 
 def shortcuts(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, str]]:
@@ -160,14 +195,18 @@ def groups(cases: Sequence[Case], key: Callable[[Case], str], sides: int) -> lis
         sides: Number of sides.
 
     Returns:
-        For each group, the largest first: ``name``, ``n``, and ``sides`` with counts of each
-        outcome, and coverage at 1 s and 3 s.
+        For each group, the one that failed most often first and then the largest: ``name``, ``n``,
+        and ``sides`` with counts of each outcome, and coverage at the times looked ahead.
     """
-    names = Counter(key(case) for case in cases)
-    return [
-        _group(name, [case for case in cases if key(case) == name], sides)
-        for name, _ in names.most_common()
-    ]
+    members: dict[str, list[Case]] = {}
+    for case in cases:
+        members.setdefault(key(case), []).append(case)
+
+    def failures(part: Sequence[Case]) -> int:
+        return sum(row.outcome is not Outcome.SUCCESS for case in part for row in case.rows)
+
+    ranked = sorted(members.items(), key=lambda item: (-failures(item[1]), -len(item[1])))
+    return [_group(name, part, sides) for name, part in ranked]
 
 
 def coverage_rows(cases: Sequence[Case], side: int) -> list[dict[str, Any]]:

@@ -48,6 +48,7 @@ def build_page(
     facts: Mapping[str, str],
     pairings: Sequence[Pairing],
     links: Mapping[str, str] | None = None,
+    lead: str = "",
 ) -> str:
     """Builds a page.
 
@@ -56,6 +57,7 @@ def build_page(
         facts: What was run, line by line: name and value.
         pairings: What is shown, in order.
         links: Further pages: addresses by their text.
+        lead: What a reader has to know first.
 
     Returns:
         The HTML.
@@ -68,6 +70,7 @@ def build_page(
         title=title,
         facts=facts,
         links=links or {},
+        lead=lead,
         sections=sections,
         notes=_notes(examined),
         outcomes=[(outcome.value, word) for outcome, word in OUTCOME_WORDS.items()],
@@ -93,20 +96,28 @@ def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
         "names": names,
         "paired": pairing.comparison is not None,
         "n": len(cases),
-        "verdict": findings.verdict(pairing, cases),
+        "answer": findings.answer(pairing),
+        "grounds": findings.grounds(pairing),
         "shortcuts": findings.shortcuts(cases, names),
         "headline": findings.headline(pairing),
         "cycles": findings.cycle_row(cases, len(names)),
-        "groups": [
-            ("Road kind", findings.groups(cases, lambda case: case.road_kind, len(names))),
-            ("Family", findings.groups(cases, lambda case: case.family, len(names))),
-        ],
+        "groups": _groups(cases, len(names)),
         "coverage": [
             (names[side], rows) for side in sides if (rows := findings.coverage_rows(cases, side))
         ],
         "coverage_plot": Markup(coverage_plot(coverages)) if any(coverages.values()) else None,  # noqa: S704
         "plots": _plots(pairing, cases),
     }
+
+
+def _groups(cases: Sequence[Case], sides: int) -> list[tuple[str, list[dict[str, Any]]]]:
+    """By road kind, and by family unless that is the same under other names."""
+    pairs = {(case.road_kind, case.family) for case in cases}
+    kinds, families = ({pair[i] for pair in pairs} for i in (0, 1))
+    found = [("Road kind", findings.groups(cases, lambda case: case.road_kind, sides))]
+    if not len(pairs) == len(kinds) == len(families):
+        found.append(("Family", findings.groups(cases, lambda case: case.family, sides)))
+    return found
 
 
 def _plots(pairing: Pairing, cases: Sequence[Case]) -> list[tuple[str, Markup]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -18,6 +18,12 @@ from dosplan.types import Arm
 
 _ARM_NAMES: Final = {Arm.WITHOUT_DOS: "without DOS", Arm.WITH_DOS: "with DOS"}
 """The arms in the order in which they are compared: with minus without."""
+
+_ARM_TEXTS: Final = {
+    Arm.WITH_DOS: "With DOS, the planner keeps clear of dynamic occupancy sets: for every road "
+    "user and every step ahead, an ellipse in which it may be.",
+    Arm.WITHOUT_DOS: "Without DOS, it keeps clear of the predicted positions alone.",
+}
 
 
 def write_report(run: Path, out: Path | None = None, source: str | None = None) -> Path:
@@ -42,9 +48,10 @@ def write_report(run: Path, out: Path | None = None, source: str | None = None) 
         if arm in manifest["config"]["arms"]
     )
     pairing = _pairing("", sides, manifest, source)
-    title = f"{manifest['planner']} with {manifest['predictor']}"
+    title = f"{manifest['planner']} {' and '.join(side.name for side in sides[::-1])}"
     path = folder.report if out is None else out
-    write_text(path, build_page(title, _facts(manifest), [pairing]))
+    lead = _lead({side.arm for side in sides})
+    write_text(path, build_page(title, _facts(manifest), [pairing], lead=lead))
     return path
 
 
@@ -77,8 +84,14 @@ def write_comparison(specs: Sequence[str], out: Path) -> Path:
             facts[f"Run {side.name}"] = f"{side.folder.path}: {told}"
             if side.folder.report.is_file():
                 links[f"Report of run {side.name}"] = _address(side.folder.report, out)
-    write_text(out, build_page("What changed from A to B", facts, pairings, links))
+    lead = _lead({side.arm for pair in pairs for side in pair})
+    write_text(out, build_page("What changed from A to B", facts, pairings, links, lead))
     return out
+
+
+def _lead(arms: Container[Arm]) -> str:
+    """What the arms are, for a reader who knows nothing but the method."""
+    return " ".join(text for arm, text in _ARM_TEXTS.items() if arm in arms)
 
 
 def _pairing(

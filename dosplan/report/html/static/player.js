@@ -40,7 +40,7 @@ function makePlayer(dialog, data) {
   function describe(row) {
     find(".top h2").textContent = row.id;
     const gone = state.episode.hasScene ? "" : " · drawn without the map: its scenario file is gone, or not the one that was driven";
-    find(".tags").textContent = `${row.road} · ${row.family} · ${row.change}${gone}`;
+    find(".tags").textContent = `${row.road} · ${row.family} · ${changeWords(row, state.names)}${gone}`;
     find(".sides").replaceChildren(...row.sides.map((side, index) => {
       const box = element("div", { className: `side side-${index}` });
       const now = element("span", { className: "now" });
@@ -140,7 +140,10 @@ function makePlayer(dialog, data) {
     const now = step();
     if (state.layers.follow) {
       const shown = state.episode.sides.filter((side, i) => side && state.layers.sides[i]);
-      const poses = (shown.length ? shown : state.episode.sides.filter(Boolean)).map((side) => poseAt(side, now, side.start));
+      const there = shown.length ? shown : state.episode.sides.filter(Boolean);
+      // Who has been at its end for a second is left behind.
+      const followed = there.filter((side) => now <= side.start + side.x.length - 1 + 1 / state.episode.dt);
+      const poses = (followed.length ? followed : there).map((side) => poseAt(side, now, side.start));
       [state.view.x, state.view.y] = [0, 1].map((axis) => poses.reduce((sum, pose) => sum + pose[axis], 0) / poses.length);
     }
     const size = sizeOf(canvas);

@@ -35,17 +35,17 @@ function columnsOf(section, data) {
   return [
     { title: "", cell: (row) => thumbnail(row.thumb, data.thumbnail) },
     { title: "Scenario", value: (row) => row.id, cell: openButton },
-    { title: "Road", value: (row) => row.road, cell: (row) => row.road },
+    { title: "Road", value: (row) => row.road, cell: (row) => row.road, className: "road" },
     ...each((name, index) => ({
       title: name, side: index, value: (row) => Object.keys(data.outcomes).indexOf(row.sides[index].outcome),
       cell: (row) => outcomeBadge(row.sides[index], data),
     })),
+    { title: "Why", value: (row) => whyOf(row, section), cell: (row) => whyOf(row, section), className: "why" },
     ...each((name, index) => ({
       ...number("m/s", (row) => row.sides[index].velocity, 1), side: paired ? index : null, label: `mean velocity ${name}, m/s`,
     })),
-    number("min TTC, s", (row) => least(row.sides.map((side) => side.ttc)), 1),
+    number("TTC, s", (row) => least(row.sides.map((side) => side.ttc)), 1),
     number("p99, ms", (row) => least(row.sides.map((side) => side.p99), -1), 0),
-    { title: "Why", value: (row) => whyOf(row, section), cell: (row) => whyOf(row, section), className: "why" },
   ];
 }
 
@@ -77,6 +77,12 @@ const CHANGES = [
   ["faster", "faster: {1}"],
   ["slower", "slower: {1}"],
 ];
+
+// What became of a scenario, in words.
+function changeWords(row, names) {
+  const words = { fixed: "only {1} succeeded", broken: "only {0} succeeded" }[row.change] || row.change;
+  return words.replace(/\{(\d)\}/, (_, side) => names[side]);
+}
 
 function changed(row, wanted, faster) {
   const [first, last] = [row.sides[0], row.sides[row.sides.length - 1]];
@@ -165,13 +171,16 @@ function makeTable(root, section, data, open) {
     form.querySelector("output").textContent = `${shown.length} of ${section.cases.length}`;
   }
 
-  root.querySelectorAll("[data-change]").forEach((button) => button.addEventListener("click", () => {
-    form.reset();
-    form.elements.change.value = button.dataset.change;
-    show();
-    root.querySelector(".list").scrollIntoView();
-    form.elements.change.focus({ preventScroll: true });
-  }));
+  // Ways from the result and from a group to their scenarios; they clear what was asked for before.
+  for (const name of ["change", "text"]) {
+    root.querySelectorAll(`[data-${name}]`).forEach((button) => button.addEventListener("click", () => {
+      form.reset();
+      form.elements[name].value = button.dataset[name];
+      show();
+      root.querySelector(".list").scrollIntoView();
+      form.elements[name].focus({ preventScroll: true });
+    }));
+  }
   form.addEventListener("input", show);
   form.addEventListener("submit", (event) => event.preventDefault());
   show();

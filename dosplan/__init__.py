@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
     from dosplan.types import Arm
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 __all__ = [
     "Arm",

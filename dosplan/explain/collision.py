@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.collision import Contact, first_contacts
+from dosplan.collision import Contact
 from dosplan.evaluation.metrics import displacement, mahalanobis
 from dosplan.explain.drive import Drive
 from dosplan.fault import STOPPED_VELOCITY
@@ -157,22 +157,21 @@ class CollisionFacts:
         )
 
 
-def collision_facts(drive: Drive, step: int) -> CollisionFacts:
+def collision_facts(drive: Drive, contact: Contact) -> CollisionFacts:
     """Gathers what is known of the collision that a row names.
 
     Args:
         drive: A drive that ends in a collision.
-        step: The row's step of contact.
+        contact: Its contact.
 
     Returns:
         The facts.
 
     Raises:
-        FileError: The recorded drive does not meet that road user in this scenario.
+        FileError: The row does not tell the collision's class.
     """
     row, dt = drive.row, drive.scenario.dt
-    tracks = drive.scenario.tracks
-    contact = _contact(drive, step)
+    tracks, step = drive.scenario.tracks, contact.step
     ego, user = contact.ego_state, contact.user_state
     present = tracks.valid[contact.user, drive.start : step + 1][::-1]
     seen = sum(1 for _ in takewhile(bool, present)) - 1
@@ -204,18 +203,6 @@ def collision_facts(drive: Drive, step: int) -> CollisionFacts:
         sets=sets,
         held=held[-1] if held else None,
         failed=next((check.lead for check in sets if not check.inside), None),
-    )
-
-
-def _contact(drive: Drive, step: int) -> Contact:
-    tracks = drive.scenario.tracks
-    for contact in first_contacts(drive.ego, drive.vehicle.size, tracks, drive.start):
-        if contact.step == step and int(tracks.ids[contact.user]) == drive.row.collision_with:
-            return contact
-    raise FileError(
-        f"the drive that was recorded of {drive.row.scenario} does not touch road user "
-        f"{drive.row.collision_with} at step {step} of the scenario: the file, or dosplan's "
-        "scoring, has changed since the run"
     )
 
 

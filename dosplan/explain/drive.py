@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from dosplan.collision import Contact, first_contacts
 from dosplan.files import FileError
 from dosplan.recording import Recording
 from dosplan.types import EGO_VELOCITY, FloatArray, Outcome, Scenario, Score
@@ -26,7 +27,7 @@ class Drive:
         vehicle: The ego.
 
     Raises:
-        FileError: The episode was not driven in this scenario.
+        FileError: The episode was not driven in this scenario, or ended before its row says so.
     """
 
     scenario: Scenario
@@ -40,6 +41,12 @@ class Drive:
             raise FileError(
                 f"{self.row.scenario} is not the scenario that the run drove: its ego starts "
                 "elsewhere; name the right one with --source"
+            )
+        recorded = len(self.recording.inputs)
+        if not 0 <= self.row.steps <= recorded:
+            raise FileError(
+                f"the row of {self.row.scenario} counts {self.row.steps} steps, its episode file "
+                f"holds {recorded}: one of them is not of this run"
             )
 
     @cached_property
@@ -65,6 +72,25 @@ class Drive:
             Outcome.OUT_OF_BOUNDS: self.row.out_of_bounds_step,
         }.get(self.row.outcome)
         return self.start + self.row.steps if decided is None else decided
+
+    @cached_property
+    def contact(self) -> Contact | None:
+        """The collision that the row names; None where it names none.
+
+        Raises:
+            FileError: The recorded drive does not meet that road user in this scenario.
+        """
+        step, tracks = self.row.collision_step, self.scenario.tracks
+        if step is None:
+            return None
+        for contact in first_contacts(self.ego, self.vehicle.size, tracks, self.start):
+            if contact.step == step and int(tracks.ids[contact.user]) == self.row.collision_with:
+                return contact
+        raise FileError(
+            f"the drive that was recorded of {self.row.scenario} does not touch road user "
+            f"{self.row.collision_with} at step {step} of the scenario: the file, or dosplan's "
+            "scoring, has changed since the run"
+        )
 
     def seconds(self, step: int) -> float:
         """Time of a step since the start, s."""

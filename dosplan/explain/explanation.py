@@ -121,7 +121,7 @@ def explain_episode(
         FileError: The episode was not driven in this scenario.
     """
     drive = Drive(scenario, row, recording, vehicle)
-    collided, off_road, reached = row.collision_step, row.out_of_bounds_step, row.goal_step
+    contact, off_road, reached = drive.contact, row.out_of_bounds_step, row.goal_step
     return Explanation(
         scenario=row.scenario,
         arm=row.arm,
@@ -129,7 +129,7 @@ def explain_episode(
         step=drive.decisive_step,
         seconds=drive.seconds(drive.decisive_step),
         min_time_to_collision=row.min_time_to_collision,
-        collision=None if collided is None else collision_facts(drive, collided),
+        collision=None if contact is None else collision_facts(drive, contact),
         out_of_bounds=None if off_road is None else road_facts(drive, off_road),
         goals=goal_facts(drive) if row.outcome is Outcome.GOAL_MISSED else (),
         margins=margins(drive, reached)

@@ -12,16 +12,17 @@ from typing import Final
 import numpy as np
 import shapely
 
+from dosplan.collision import shape_at
 from dosplan.explain.drive import Drive
 from dosplan.files import FileError, write_bytes
-from dosplan.geometry import rectangle_corners, to_world
+from dosplan.geometry import rectangle_corners
 from dosplan.library import run_episode
 from dosplan.recorded import find_recorded
 from dosplan.recording import load_recording, pack_recording
 from dosplan.registry import create_planner, create_predictor
 from dosplan.report.scene import EGO_COLOUR
 from dosplan.scenario import ScenarioRef, load_scenario
-from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Outcome, Scenario, Score
+from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Scenario, Score
 from dosplan.vehicle import VehicleParameters
 
 ARM_NAMES: Final = MappingProxyType({Arm.WITHOUT_DOS: "without DOS", Arm.WITH_DOS: "with DOS"})
@@ -83,28 +84,25 @@ class Take:
         if self.row is None:
             return ""
         words = self.row.outcome.value.replace("_", " ")
-        if self.row.outcome is Outcome.COLLISION and self.row.collision_with is not None:
-            ids = self.scenario.tracks.ids.tolist()
-            kind = self.scenario.tracks.kinds[ids.index(self.row.collision_with)]
-            words = f"{words} with {kind.value} {self.row.collision_with}"
-        return words if self.drive is None else f"{words}, {self.seconds(self.moment):.1f} s"
+        if self.drive is None:
+            return words
+        if (contact := self.drive.contact) is not None:
+            tracks = self.scenario.tracks
+            words = f"{words} with {tracks.kinds[contact.user]} {tracks.ids[contact.user]}"
+        return f"{words}, {self.seconds(self.moment):.1f} s"
 
     @property
     def place(self) -> FloatArray:
         """(2,) where the outcome was decided, m: the contact of a collision, else the ego."""
         pose = self.ego[min(self.moment - self.start, len(self.ego) - 1), :3]
-        if self.drive is None or self.drive.row.collision_step != self.moment:
+        contact = None if self.drive is None else self.drive.contact
+        if contact is None:
             return np.asarray(pose[:2])
+        # Where they are in the picture of that step: a little past the touch, perhaps.
         tracks = self.scenario.tracks
-        user = tracks.ids.tolist().index(self.drive.row.collision_with)
-        other, outline = tracks.states[user, self.moment, :3], tracks.outlines[user]
-        if outline is None:
-            touched = rectangle_corners(other, tracks.size[user])
-        else:
-            touched = to_world(outline, other)
+        other = shape_at(tracks, contact.user, tracks.states[contact.user, contact.step])
         ego = shapely.Polygon(rectangle_corners(pose, VehicleParameters().size))
-        line = shapely.shortest_line(ego, shapely.Polygon(touched))
-        return np.asarray(shapely.centroid(line).coords[0])
+        return np.asarray(shapely.centroid(shapely.shortest_line(ego, other)).coords[0])
 
     def seconds(self, step: int) -> float:
         """Time of a step since the start, s."""
@@ -129,7 +127,7 @@ def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | No
 
     Raises:
         FileError: The folder holds no such episode, or none that ever drove, or its scenario
-            cannot be found or read.
+            cannot be found or read, or it is not the one that was driven.
     """
     found = find_recorded(run, scenario, arms, source)
     if found.scenario is None:

@@ -1,9 +1,9 @@
 """Paired comparison of two runs, or of the two arms of one, scenario by scenario.
 
 Both sides drove the same scenarios, so what is compared is the difference within each scenario:
-its mean with a percentile-bootstrap interval over scenarios (Efron, Tibshirani, "An Introduction
-to the Bootstrap", 1993, ch. 13) and, for what either happens or not, the exact McNemar test
-(McNemar, 1947: among the scenarios whose verdict differs, both directions are equally likely).
+its mean with a percentile-bootstrap interval over scenarios and, for what either happens or not,
+the exact McNemar test (McNemar, 1947: among the scenarios whose verdict differs, both directions
+are equally likely).
 """
 
 from __future__ import annotations
@@ -15,12 +15,9 @@ from typing import Final
 
 import numpy as np
 
+from dosplan.intervals import mean_interval
 from dosplan.results import read_run
 from dosplan.types import Arm, FloatArray, Outcome, Score
-
-RESAMPLES: Final = 10_000
-_DRAWN_AT_ONCE: Final = 1_000_000
-_SEED: Final = 0  # The interval is part of the result, so it is the same each time.
 
 _VERDICTS: Final[dict[str, Callable[[Score], bool]]] = {
     "success": lambda row: row.outcome is Outcome.SUCCESS,
@@ -238,20 +235,12 @@ def _compare_verdicts(a: FloatArray, b: FloatArray) -> Difference:
 
 
 def _compare_means(a: FloatArray, b: FloatArray) -> Difference:
-    difference = b - a
-    rng = np.random.default_rng(_SEED)
-    means = np.empty(RESAMPLES)
-    block = max(_DRAWN_AT_ONCE // len(a), 1)  # A million scenarios would not fit at once.
-    for first in range(0, RESAMPLES, block):
-        part = means[first : first + block]
-        picks = rng.integers(len(a), size=(len(part), len(a)))
-        part[:] = difference[picks].mean(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
+    difference, low, high = mean_interval(b - a)
     return Difference(
         n=len(a),
         a=float(a.mean()),
         b=float(b.mean()),
-        difference=float(difference.mean()),
-        low=float(low),
-        high=float(high),
+        difference=difference,
+        low=low,
+        high=high,
     )

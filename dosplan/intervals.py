@@ -8,7 +8,8 @@ import numpy as np
 
 from dosplan.types import FloatArray
 
-RESAMPLES: Final = 10_000
+_RESAMPLES: Final = 10_000
+_DRAWN_AT_ONCE: Final = 1_000_000  # The draws of a million scenarios would not fit at once.
 _SEED: Final = 0  # An interval is part of a result, so it is the same each time.
 
 
@@ -45,12 +46,20 @@ def share_interval(count: int, n: int) -> Interval:
 def mean_interval(values: FloatArray) -> Interval:
     """A mean with its percentile-bootstrap interval.
 
+    Efron, Tibshirani, "An Introduction to the Bootstrap", 1993, ch. 13.
+
     Args:
         values: (n,) values, n > 0.
 
     Returns:
         The mean and its interval.
     """
-    picks = np.random.default_rng(_SEED).integers(len(values), size=(RESAMPLES, len(values)))
-    low, high = np.percentile(values[picks].mean(axis=1), [2.5, 97.5]).tolist()
+    rng = np.random.default_rng(_SEED)
+    means = np.empty(_RESAMPLES)
+    block = max(_DRAWN_AT_ONCE // len(values), 1)
+    for first in range(0, _RESAMPLES, block):
+        part = means[first : first + block]
+        picks = rng.integers(len(values), size=(len(part), len(values)))
+        part[:] = values[picks].mean(axis=1)
+    low, high = np.percentile(means, [2.5, 97.5]).tolist()
     return Interval(float(values.mean()), low, high)

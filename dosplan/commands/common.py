@@ -38,11 +38,24 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def _json_path(text: str) -> Path:
-    """A file to be written; what is a folder was meant for another argument."""
+    """A file to be written; a folder, or a file of another kind, was meant for another argument."""
     path = Path(text)
     if path.is_dir():
         raise argparse.ArgumentTypeError(f"{text} is a folder; name a file, or write --json=-")
+    if path.is_file() and not _may_be_json(path):
+        raise argparse.ArgumentTypeError(
+            f"{text} is there and is no JSON; name another file, or write --json=-"
+        )
     return path
+
+
+def _may_be_json(path: Path) -> bool:
+    """Whether a file is empty or begins as what ``show`` writes; one nobody may read may be."""
+    try:
+        with path.open("rb") as file:
+            return file.read(1) in (b"", b"{")
+    except OSError:
+        return True
 
 
 def add_workers(parser: argparse.ArgumentParser) -> None:

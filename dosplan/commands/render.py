@@ -119,14 +119,16 @@ def _takes(options: argparse.Namespace) -> Takes:
 
     arms = (Arm(options.arm),) if options.arm else tuple(Arm)
     run, colon, scenario = options.what.rpartition(":")
-    if colon and not scenario.startswith("//") and not Path(options.what).exists():
-        if options.planner or options.predictor:
-            raise CommandError("--planner and --predictor are for a scenario, not for a run")
+    if colon and "://" not in options.what and not Path(options.what).exists():
+        if options.planner or options.predictor or options.seed:
+            raise CommandError(
+                "--planner, --predictor and --seed are for a scenario, not for a run"
+            )
         return takes_of_run(Path(run), scenario, arms, options.source)
     if options.planner:
         predictor = options.predictor or "dos"
         return takes_of_drive(_scenario(options), options.planner, predictor, arms, options.seed)
-    if options.predictor or options.arm:
+    if options.predictor or options.arm or options.seed:
         raise CommandError(
             f"{options.what} is a scenario, which nobody has driven: name a --planner, or an "
             "episode as RUN:ID"

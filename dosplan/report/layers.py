@@ -20,7 +20,7 @@ from dosplan.types import FloatArray, IntArray, RoadUserKind, Tracks
 
 INK: Final = "#222222"
 SET_COLOURS: Final = LinearSegmentedColormap.from_list("sets", ["#00876c", "#e0a030", "#c2347a"])
-"""Colour of a set by its step, from the first predicted one to the last."""
+"""Colour of a set by the time at which it is to hold, from the soonest to the latest shown."""
 
 _NOSE: Final = "#ffffff"
 _EDGE: Final = (1.0, 1.0, 1.0, 0.9)  # Sets are translucent, so that those below are seen.
@@ -147,7 +147,7 @@ class Sets:
             centres: (M, 2) m.
             semi_axes: (M, 2) m.
             angles: (M,) direction of the first semi-axis, rad.
-            shares: (M,) when each is to hold: 0 at the first predicted step, 1 at the last.
+            shares: (M,) place of each on ``SET_COLOURS``, 0 to 1: higher, the later it is to hold.
         """
         # Sets grow with time: the far ones are drawn first, so that none hides another.
         order = np.argsort(-shares, kind="stable")

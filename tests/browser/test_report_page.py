@@ -98,6 +98,10 @@ def test_the_filter_filters_and_the_headings_sort(opened: Any) -> None:
     opened.click("[data-change='both failed']")  # A way from the result; it clears the rest.
     assert _ids(opened) == ["ZAM_Hit-1_1_T-1"]
     assert opened.text_content(".filters output") == "1 of 2"
+    group = opened.locator("[data-text]").first  # A way from a kind of road, likewise.
+    group.click()
+    assert opened.input_value("input[type=search]") == group.text_content()
+    assert opened.text_content(".filters output") == "2 of 2"
 
 
 def test_the_player_moves_and_obeys_the_keyboard(opened: Any) -> None:

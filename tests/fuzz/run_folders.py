@@ -121,6 +121,9 @@ def _use(case: Case, folder: RunFolder, config: RunConfig) -> None:
     elif what == 1:
         with one_line_at_most():
             write_report(folder.path, case.folder / "report.html")
+    elif what == 2:
+        scene = case.random.choice(names)
+        shell("render", f"{folder.path}:{scene}", "--out", "film.png", codes=(OK, BAD_INPUT))
     done = False
     with one_line_at_most(), _in_process():
         run(config)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,9 @@ from dosplan.report.figures import (
     upper_limits,
 )
 from dosplan.report.figures.sources import Z95, Published, default_results
+from dosplan.results import read_rows, write_rows
 from dosplan.scenario import find_scenarios, load_scenario
+from dosplan.scoring import failed_score
 from dosplan.types import Arm, FloatArray
 
 SHIPPED = Path(__file__).parents[2] / "results"
@@ -331,6 +334,18 @@ def test_a_method_that_was_not_evaluated_is_named(results: Path, tmp_path: Path)
         trade_off.draw(Published(tmp_path))
 
 
+def test_an_arm_in_which_nobody_drove_is_told(results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results / "suite", tmp_path / "suite")
+    path = tmp_path / "suite" / "scenarios.jsonl"
+    rows = [
+        row if row.arm is Arm.WITH_DOS else failed_score(row.scenario, row.arm, "it broke")
+        for row in read_rows(path)
+    ]
+    write_rows(path, rows)
+    with pytest.raises(FileError, match=r"suite holds an arm in which nobody drove a step"):
+        planning.draw(Published(tmp_path))
+
+
 def test_a_planner_without_a_horizon_has_no_such_panel(results: Path, tmp_path: Path) -> None:
     growth = read_json(results / "cycle" / "bench.json") | {"horizon_s": {}}
     write_json(tmp_path / "cycle" / "bench.json", growth)
@@ -349,8 +364,10 @@ def test_the_shipped_results_are_found() -> None:
     assert default_results() == SHIPPED
 
 
-def test_no_other_command_pays_for_matplotlib() -> None:
+def test_what_draws_nothing_does_not_pay_for_matplotlib() -> None:
     code = "import sys, dosplan.cli; dosplan.cli.main(['list', 'planners'])\n"
+    code += "import dosplan.runner, dosplan.report.progress, dosplan.report.tables\n"
+    code += "import dosplan.explain, dosplan.comparison, dosplan.evaluation.evaluate\n"
     code += "assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
 
@@ -365,6 +382,19 @@ def test_intervals_have_known_answers() -> None:
     value, low, high = mean_interval(np.tile([0.0, 1.0], 200))
     assert value == 0.5
     assert (low, high) == pytest.approx((0.5 - 0.049, 0.5 + 0.049), abs=0.003)
+
+
+def test_the_interval_of_many_scenarios_needs_little_memory() -> None:
+    """Ten thousand samples of 2,000 values, all at once, are 320 MB."""
+    values = np.arange(2000.0)
+    tracemalloc.start()
+    _, low, high = mean_interval(values)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 40e6
+    # 1.96 standard errors of the mean of 2,000 numbers drawn from 0 ... 1999.
+    half = 1.96 * np.std(values) / np.sqrt(2000.0)
+    assert (low, high) == pytest.approx((999.5 - half, 999.5 + half), abs=0.03 * half)
 
 
 def test_the_manifest_of_figures_names_a_module_for_each() -> None:

@@ -186,6 +186,25 @@ def test_a_folder_is_not_taken_for_the_json_file(
     assert "is a folder; name a file, or write --json=-" in capsys.readouterr().err
 
 
+def test_a_scenario_is_not_overwritten_by_the_figures(
+    scenes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = scenes / "ZAM_Test-0_1_T-1.xml"
+    before = path.read_bytes()
+    with pytest.raises(SystemExit):
+        main(["list", "--json", str(path)])
+    assert "is there and is no JSON; name another file" in capsys.readouterr().err
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("content", ["", '{"a": 1}'])
+def test_figures_of_before_are_replaced(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "figures"
+    path.write_text(content)
+    assert main(["list", "planners", "--json", str(path)]) == OK
+    assert "planners" in read_json(path)
+
+
 def test_a_terminal_has_the_table_live_and_keeps_what_was_scored_on_ctrl_c(
     scenes: Path, tmp_path: Path
 ) -> None:

@@ -22,6 +22,7 @@ from dosplan.cli import BAD_INPUT, OK, main
 from dosplan.episode import drive_episode
 from dosplan.executor import Results, Task
 from dosplan.explain.drive import Drive
+from dosplan.files import FileError
 from dosplan.geometry import rectangle_corners
 from dosplan.recording import load_recording, pack_recording
 from dosplan.report.film import Film, Picture
@@ -196,6 +197,22 @@ def test_the_mark_of_a_collision_is_at_the_contact(tmp_path: Path) -> None:
         assert Polygon(body).distance(Point(take.place)) < 0.1
 
 
+def test_a_row_that_is_not_of_the_drive_is_refused(tmp_path: Path) -> None:
+    take = driven(tmp_path, following(gap=14.3, final_step=60))
+    assert take.drive is not None
+    row = take.drive.row
+    assert row.collision_step is not None
+    earlier = row.collision_step - 1
+    for odd in (replace(row, collision_with=99), replace(row, collision_step=earlier)):
+        other = replace(take, drive=replace(take.drive, row=odd))
+        with pytest.raises(FileError, match="does not touch road user"):
+            Film([other], "title")
+    recorded = len(take.drive.recording.inputs)
+    for steps in (-1, recorded + 1):
+        with pytest.raises(FileError, match=f"{steps} steps, its episode file holds {recorded}"):
+            replace(take.drive, row=replace(row, steps=steps))
+
+
 def test_a_long_drive_is_followed(tmp_path: Path) -> None:
     take = driven(tmp_path, following(gap=300.0, final_step=100, velocity=30.0))
     film = Film([take], "title", scale=2.0)
@@ -341,6 +358,8 @@ def test_a_scenario_is_drawn_as_recorded_or_driven_first(
         (["ZAM_Test-9_1_T-1", "--source", "SCENES"], "did you mean ZAM_Test-"),
         (["SCENES"], "holds 2 scenarios: name one, as in ZAM_Test-0_1_T-1 --source"),
         (["RUN:ZAM_Test-0_1_T-1", "--planner", "idm"], "are for a scenario, not for a run"),
+        (["RUN:ZAM_Test-0_1_T-1", "--seed", "1"], "are for a scenario, not for a run"),
+        (["http://127.0.0.1:9/x.xml"], "127.0.0.1:9/x.xml: cannot be reached"),
         (["ZAM_Test-0_1_T-1", "--arm", "with_dos"], "which nobody has driven"),
         (["RUN:ZAM_Test-0_1_T-1", "--time", "1.5"], "no picture at 1.5 s: it lasts 1.0 s"),
         (["RUN:ZAM_Test-0_1_T-1", "--time", "-1"], "no picture at -1 s"),

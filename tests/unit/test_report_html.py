@@ -21,7 +21,7 @@ from dosplan.cli import main
 from dosplan.files import FileError, write_json
 from dosplan.recording import Recording
 from dosplan.report.html import page
-from dosplan.report.html.cases import change_of
+from dosplan.report.html.cases import Case, change_of
 from dosplan.report.html.codec import METRE, differences, pack, polyline
 from dosplan.report.html.coverage import foretold, sets_met, total
 from dosplan.report.html.episode import Drive, encode_episode
@@ -298,6 +298,69 @@ def test_one_arm_alone_has_a_page(tmp_path: Path) -> None:
     html = write_report(_write_run(tmp_path / "run", rows)).read_text(encoding="utf-8")
     assert "McNemar" not in html
     assert "Success with DOS in 2 of 2 scenarios." in html
+
+
+@pytest.mark.parametrize(
+    ("only_with", "only_without", "found"),
+    # McNemar's exact test: of 6 against 0, p = 2 / 2^6 = 0.031; of 5 against 0, 0.063.
+    [(6, 0, "Better with DOS"), (0, 6, "Worse with DOS"), (5, 0, "No clear difference")],
+)
+def test_the_answer_comes_first(
+    only_with: int, only_without: int, found: str, tmp_path: Path
+) -> None:
+    good, bad = Outcome.SUCCESS, Outcome.COLLISION
+    pairs = [(good, bad)] * only_with + [(bad, good)] * only_without + [(good, good)] * 10
+    rows = [
+        _row(f"ZAM_A-{i}_1_T-1", arm, outcome)
+        for i, pair in enumerate(pairs)
+        for arm, outcome in zip((Arm.WITH_DOS, Arm.WITHOUT_DOS), pair, strict=True)
+    ]
+    html = write_report(_write_run(tmp_path / "run", rows)).read_text(encoding="utf-8")
+    n, both = len(pairs), 10
+    answer = (
+        f"{found}: success in {both + only_with} of {n} scenarios with DOS, in "
+        f"{both + only_without} without DOS."
+    )
+    assert f'<p class="answer">{answer}</p>' in html
+    failed = f"collision {only_with} (0 at fault)" if only_with else "none"
+    assert f"Failed without DOS: {failed}." in html
+
+
+def test_groups_that_fail_come_first(tmp_path: Path) -> None:
+    places = {"ZAM_Good": Outcome.SUCCESS, "ZAM_Bad": Outcome.COLLISION}
+    rows = [
+        _row(f"{place}-{i}_1_T-1", Arm.WITH_DOS, outcome)
+        for place, outcome in places.items()
+        for i in range(4)
+    ]
+    html = write_report(_write_run(tmp_path / "run", rows)).read_text(encoding="utf-8")
+    assert re.findall(r'data-text="(\w+)"', html) == ["other", "ZAM_Bad", "ZAM_Good"]
+
+
+def test_groups_of_one_meaning_are_shown_once() -> None:
+    def titles(pairs: list[tuple[str, str]]) -> list[str]:
+        row = _row("s", Arm.WITH_DOS, Outcome.SUCCESS)
+        cases = [
+            Case("s", family, road, "succeeded", (row,), ("",), (None,), (np.empty(0),), {}, None)
+            for road, family in pairs
+        ]
+        return [title for title, _ in page.group_tables(cases, 1)]
+
+    assert titles([("urban", "DEU"), ("rural", "USA"), ("urban", "DEU")]) == ["Road kind"]
+    assert titles([("urban", "DEU"), ("urban", "USA")]) == ["Road kind", "Family"]
+
+
+def test_a_missed_goal_is_told_by_how_much(tmp_path: Path) -> None:
+    # One second at 10 m/s does not reach a place that begins at x = 57 m.
+    goal = Goal(first_step=0, last_step=10, position=rectangle(6.0, 3.0, 60.0, 0.0))
+    name = "ZAM_Far-1_1_T-1"
+    path = tmp_path / f"{name}.xml"
+    write_scenario_xml(path, problems=[Problem(goals=(goal,))], benchmark_id=name)
+    out = tmp_path / "run"
+    assert main(["run", str(path), *COAST, "--workers", "1", "--out", str(out)]) == cli.OK
+    ((case,),) = (s["cases"] for s in _data((out / "report.html").read_text("utf-8"))["sections"])
+    told = r"position never reached: closest \d\d\.\d\d m, 1\.0 s after the start, at the last step"
+    assert all(re.match(told, side["why"]) for side in case["sides"])
 
 
 def test_intervals_are_wilsons(tmp_path: Path) -> None:

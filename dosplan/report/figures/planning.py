@@ -41,7 +41,7 @@ def draw(published: Published) -> Figure:
         A figure of a page's width, a row of panels for each run.
 
     Raises:
-        FileError: A run is missing or does not hold both arms.
+        FileError: A run is missing, or does not hold both arms, or nothing was driven in one.
     """
     figure = style.new_figure(style.PAGE, 3.6)
     panels = figure.subplots(len(RUNS), 3, sharex="col", width_ratios=(2, 3, 1.4), squeeze=False)
@@ -50,9 +50,13 @@ def draw(published: Published) -> Figure:
         arms = {arm: [row for row in rows if row.arm is arm] for arm in Arm}
         if not all(arms.values()):
             raise FileError(f"{published.path / run} holds one arm only; drive both")
+        speeds = {arm: [row.velocity for row in held if row.steps] for arm, held in arms.items()}
+        if not all(speeds.values()):
+            raise FileError(f"{published.path / run} holds an arm in which nobody drove a step")
         _shares(good, arms, GOOD)
         _shares(bad, arms, BAD)
-        _intervals(speed, {arm: [_velocity(held)] for arm, held in arms.items()}, [""])
+        velocities = {arm: [mean_interval(np.array(found))] for arm, found in speeds.items()}
+        _intervals(speed, velocities, [""])
         good.set_title(f"{title}, n = {len(arms[Arm.WITH_DOS])}", loc="left", fontweight="bold")
     for axes, label in zip(panels[-1], ("share, %", "share, %", "velocity, m/s"), strict=True):
         axes.set_xlabel(label)
@@ -72,10 +76,6 @@ def _shares(axes: Axes, arms: dict[Arm, list[Score]], verdicts: dict[str, Verdic
         for arm, rows in arms.items()
     }
     _intervals(axes, found, list(verdicts))
-
-
-def _velocity(rows: Sequence[Score]) -> Interval:
-    return mean_interval(np.array([row.velocity for row in rows if row.steps]))
 
 
 def _intervals(axes: Axes, found: dict[Arm, list[Interval]], names: Sequence[str]) -> None:

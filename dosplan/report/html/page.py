@@ -101,7 +101,7 @@ def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
         "shortcuts": findings.shortcuts(cases, names),
         "headline": findings.headline(pairing),
         "cycles": findings.cycle_row(cases, len(names)),
-        "groups": _groups(cases, len(names)),
+        "groups": group_tables(cases, len(names)),
         "coverage": [
             (names[side], rows) for side in sides if (rows := findings.coverage_rows(cases, side))
         ],
@@ -110,8 +110,16 @@ def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
     }
 
 
-def _groups(cases: Sequence[Case], sides: int) -> list[tuple[str, list[dict[str, Any]]]]:
-    """By road kind, and by family unless that is the same under other names."""
+def group_tables(cases: Sequence[Case], sides: int) -> list[tuple[str, list[dict[str, Any]]]]:
+    """Breaks outcomes down by road kind, and by family unless that is the same by another name.
+
+    Args:
+        cases: The cases.
+        sides: Number of sides.
+
+    Returns:
+        Titles, with rows as of ``findings.groups``.
+    """
     pairs = {(case.road_kind, case.family) for case in cases}
     kinds, families = ({pair[i] for pair in pairs} for i in (0, 1))
     found = [("Road kind", findings.groups(cases, lambda case: case.road_kind, sides))]

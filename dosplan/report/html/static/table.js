@@ -58,7 +58,7 @@ function whyOf(row, section) {
   const paired = section.names.length > 1;
   return row.sides
     .map((side, index) => (side.why && paired ? `${section.names[index]}: ${side.why}` : side.why))
-    .filter(Boolean).join(" / ");
+    .filter(Boolean).join("\n");
 }
 
 function openButton(row) {

@@ -58,6 +58,6 @@ $(VENV)/.run: $(BIN)/python pyproject.toml constraints.txt
 # The drivability checker is an oracle of some tests only, and one of its dependencies comes as
 # source: where no compiler is at hand, those tests are skipped and say so.
 $(VENV)/.dev: $(VENV)/.run
-	$(PIP) --editable ".[dev,cluster,onnx,frames]"
+	$(PIP) --editable ".[dev,cluster,onnx,frames,video]"
 	$(PIP) --editable ".[oracle]" || echo "no drivability checker: its oracle tests are skipped"
 	touch $@

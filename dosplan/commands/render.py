@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from dosplan.commands import OK, Command, CommandError
+from dosplan.commands import FAILED, OK, Command, CommandError
 from dosplan.commands.common import PLUGIN_HELP, add_seed
 
 if TYPE_CHECKING:
-    from dosplan.report.takes import Takes
+    from collections.abc import Sequence
+
+    from dosplan.report.takes import Take, Takes
     from dosplan.scenario import ScenarioRef
 
 _ENDINGS: Final = (".gif", ".mp4", ".png")
@@ -83,7 +87,8 @@ class RenderCommand:
             options: The arguments.
 
         Returns:
-            0.
+            0; 1 where a planner that was to drive first failed, which is drawn as far as it came
+            and which stderr has a line on.
 
         Raises:
             CommandError: The arguments do not fit each other.
@@ -96,21 +101,39 @@ class RenderCommand:
             raise CommandError(f"{options.out}: name a file that ends in {', '.join(_ENDINGS)}")
         if ending != ".png" and (options.frames or options.time is not None):
             raise CommandError(f"{options.out}: --time and --frames are for a .png")
+        if options.seed < 0:
+            raise CommandError(f"seed is {options.seed}; it must not be negative")
         takes, title = _takes(options)
-        from dosplan.report import pictures
+        print(_write(takes, title, options))
+        # What fails in a run is told by the run.
+        return _tell_failures(takes) if options.planner else OK
 
-        if options.frames:
-            number = pictures.write_pictures(takes, title, options.out)
-            print(f"{number} pictures in {options.out.parent}")
-            return OK
-        if ending == ".gif":
-            pictures.write_gif(takes, title, options.out)
-        elif ending == ".mp4":
-            pictures.write_video(takes, title, options.out)
-        else:
-            pictures.write_picture(takes, title, options.out, options.time)
-        print(f"picture in {options.out}")
-        return OK
+
+def _write(takes: Sequence[Take], title: str, options: argparse.Namespace) -> str:
+    """Writes the picture or the pictures, and says where they are."""
+    from dosplan.report import pictures
+
+    if options.frames:
+        number = pictures.write_pictures(takes, title, options.out)
+        return f"{number} pictures in {options.out.parent}"
+    ending = options.out.suffix.lower()
+    if ending == ".gif":
+        pictures.write_gif(takes, title, options.out)
+    elif ending == ".mp4":
+        pictures.write_video(takes, title, options.out)
+    else:
+        pictures.write_picture(takes, title, options.out, options.time)
+    return f"picture in {options.out}"
+
+
+def _tell_failures(takes: Sequence[Take]) -> int:
+    """Prints why planners failed."""
+    from dosplan.report.tables import error_lines
+
+    lines = error_lines(take.row for take in takes if take.row is not None)
+    for line in lines:
+        print(line, file=sys.stderr)
+    return FAILED if lines else OK
 
 
 def _takes(options: argparse.Namespace) -> Takes:
@@ -146,6 +169,10 @@ def _scenario(options: argparse.Namespace) -> ScenarioRef:
     if (Path(what) / "run.json").is_file():
         raise CommandError(f"{what} is a run: name one of its scenarios, as in {what}:ID")
     if not ("://" in what or Path(what).exists()):
+        if _is_path(what):
+            raise CommandError(
+                f"{what} does not exist; name a scenario file, or the id of one in --source"
+            )
         return find_scenario(what, options.source or SUITE)
     refs = find_scenarios(what)
     if len(refs) > 1:
@@ -153,6 +180,11 @@ def _scenario(options: argparse.Namespace) -> ScenarioRef:
             f"{what} holds {len(refs)} scenarios: name one, as in {refs[0].id} --source {what}"
         )
     return refs[0]
+
+
+def _is_path(text: str) -> bool:
+    """Whether a text is meant as a file, there or not: ids have neither folder nor ending."""
+    return os.sep in text or text.endswith((".xml", ".gz"))
 
 
 RENDER: Final[Command] = RenderCommand()

@@ -140,30 +140,42 @@ def _head(tally: _Tally) -> str:
     return f"{tally.done} of {tally.total} episodes{tally.pace}"
 
 
+class _Tenths:
+    """Keeps how many tenths of something are done."""
+
+    def __init__(self) -> None:
+        self._tenth = -1  # The beginning counts as one, too.
+
+    def further(self, done: int, total: int) -> bool:
+        """Whether it is a tenth further than when this was last so."""
+        tenth, before = 10 * done // max(total, 1), self._tenth
+        self._tenth = max(tenth, before)
+        return tenth > before
+
+
 class _LineObserver(Observer):
     """Writes a line for each tenth of a run and each minute."""
 
     def __init__(self, console: Console, tally: _Tally, clock: Clock) -> None:
         self._console, self._tally, self._clock = console, tally, clock
-        self._tenth, self._written = 0, 0.0
+        self._tenths, self._written = _Tenths(), 0.0
 
     def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
         self._tally.begin(episodes, rows)
-        self._write()
+        self._write_if_due()
 
     def add(self, row: Score) -> None:
         self._tally.add(row)
-        if self._at() > self._tenth or self._clock() - self._written >= _LINE_EVERY:
-            self._write()
+        self._write_if_due()
 
-    def _at(self) -> int:
-        return 10 * self._tally.done // self._tally.total
-
-    def _write(self) -> None:
+    def _write_if_due(self) -> None:
+        further = self._tenths.further(self._tally.done, self._tally.total)
+        if not further and self._clock() - self._written < _LINE_EVERY:
+            return
         arms = [f"; {ARM_TITLES[arm]}: {self._arm(arm)}" for arm in self._tally.episodes]
         line = _head(self._tally) + ("".join(arms) if self._tally.done else "")
         self._console.print(line, highlight=False, soft_wrap=True)
-        self._tenth, self._written = self._at(), self._clock()
+        self._written = self._clock()
 
     def _arm(self, arm: Arm) -> str:
         done, success, *counts = self._tally.cells(arm)
@@ -172,14 +184,11 @@ class _LineObserver(Observer):
 
 
 def _lines(console: Console, unit: str) -> Callable[[int, int], None]:
-    """Writes a line for each tenth of the run."""
-    shown = -1
+    """Writes a line for each tenth."""
+    tenths = _Tenths()
 
     def update(done: int, total: int) -> None:
-        nonlocal shown
-        tenth = 10 * done // max(total, 1)
-        if tenth > shown:
-            shown = tenth
+        if tenths.further(done, total):
             console.print(f"{done} of {total} {unit}", highlight=False)
 
     return update

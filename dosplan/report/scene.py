@@ -14,8 +14,8 @@ from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path as Outline
 from shapely.geometry import MultiPolygon, Polygon
 
-from dosplan.report.layers import INK, Bodies, Sets, Users, on_scene
-from dosplan.types import FloatArray, GoalState, Occupancy, RoadUserKind, Scenario
+from dosplan.report.layers import INK, Bodies, Users, on_scene
+from dosplan.types import Arm, FloatArray, GoalState, RoadUserKind, Scenario
 from dosplan.vehicle import VehicleParameters
 
 KIND_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
@@ -35,42 +35,32 @@ KIND_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
 """Fill colour of each kind of road user; most are from Okabe and Ito's palette."""
 
 EGO_COLOUR: Final = "#d7191c"
+ARM_COLOURS: Final = MappingProxyType({Arm.WITHOUT_DOS: "#d55e00", Arm.WITH_DOS: "#0072b2"})
+"""Colour of each arm, and of the ego in it; pages have the same."""
+
 GOAL_COLOUR: Final = "#1a9641"
 _ROAD, _MARKING, _KERB = "#dfe1e0", "#ffffff", "#9b9b95"
 _MARGIN = 30.0
-_TRAIL = 10
+_TRAIL = 10  # Steps, a second.
 _BAR = 20.0
 
 
-def draw_scene(
-    axes: Axes,
-    scenario: Scenario,
-    step: int,
-    *,
-    ego: FloatArray | None = None,
-    occupancy: Occupancy | None = None,
-    trail: int = _TRAIL,
-) -> None:
-    """Draws a scene at a step.
+def draw_scene(axes: Axes, scenario: Scenario, step: int) -> None:
+    """Draws a scene at a step, with the ego at its start.
 
     The view shows the ego's start and its goal; set the axes' limits afterwards for another one.
 
     Args:
         axes: Where to draw; their limits, ticks and aspect are set.
         scenario: The scene.
-        step: Step of the recording at which the road users are shown.
-        ego: (K, 5) driven ego states from the task's start step on: the drive is drawn, and
-            the ego where it is at ``step``, or at the end nearest to it. None shows the start.
-        occupancy: Sets to be shown, or None.
-        trail: Number of steps of its past that each road user trails behind it.
+        step: Step of the recording at which the road users are shown, each of them trailing the
+            second before.
     """
     draw_map(axes, scenario)
     draw_task(axes, scenario)
-    if occupancy is not None:
-        _draw_sets(axes, occupancy)
-    _draw_trails(axes, scenario, step, trail)
+    _draw_trails(axes, scenario, step)
     Users(axes, scenario.tracks, KIND_COLOURS, zorder=6).show_step(step)
-    _draw_ego(axes, scenario, step, ego)
+    _draw_ego(axes, scenario)
     _set_view(axes, scenario)
 
 
@@ -137,33 +127,19 @@ def draw_task(axes: Axes, scenario: Scenario) -> None:
         )
 
 
-def _draw_trails(axes: Axes, scenario: Scenario, step: int, trail: int) -> None:
+def _draw_trails(axes: Axes, scenario: Scenario, step: int) -> None:
     tracks = scenario.tracks
-    users, begin = on_scene(tracks, step), max(0, step - trail)
+    users, begin = on_scene(tracks, step), max(0, step - _TRAIL)
     trails = [tracks.states[u, begin : step + 1][tracks.valid[u, begin : step + 1]] for u in users]
     colours = [KIND_COLOURS[tracks.kinds[u]] for u in users]
     lines = [states[:, :2] for states in trails]
     axes.add_collection(LineCollection(lines, colors=colours, linewidths=1.0, alpha=0.5, zorder=5))
 
 
-def _draw_sets(axes: Axes, occupancy: Occupancy) -> None:
-    shares = np.linspace(0.0, 1.0, occupancy.horizon)
-    shown = occupancy.valid
-    Sets(axes, zorder=4).show(
-        occupancy.centre[shown],
-        occupancy.semi_axes[shown],
-        occupancy.angle[shown],
-        np.broadcast_to(shares, shown.shape)[shown],
-    )
-
-
-def _draw_ego(axes: Axes, scenario: Scenario, step: int, ego: FloatArray | None) -> None:
-    vehicle, task = VehicleParameters(), scenario.task
-    poses = vehicle.poses(task.start[None] if ego is None else ego)
-    axes.plot(*poses[:, :2].T, color=EGO_COLOUR, linewidth=1.4, zorder=7)
-    now = int(np.clip(step - task.start_step, 0, len(poses) - 1))
-    body = Bodies(axes, zorder=8, line=0.6)
-    body.show(poses[now : now + 1], np.array([vehicle.size]), [EGO_COLOUR])
+def _draw_ego(axes: Axes, scenario: Scenario) -> None:
+    vehicle = VehicleParameters()
+    poses = vehicle.poses(scenario.task.start[None])
+    Bodies(axes, zorder=8, line=0.6).show(poses, np.array([vehicle.size]), [EGO_COLOUR])
 
 
 def _set_view(axes: Axes, scenario: Scenario) -> None:

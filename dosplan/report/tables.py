@@ -14,6 +14,8 @@ from dosplan.types import Arm, Score
 
 ERRORS_SHOWN: Final = 10
 ARM_TITLES: Final = {Arm.WITH_DOS: "with DOS", Arm.WITHOUT_DOS: "without DOS"}
+ARMS_SIDE_BY_SIDE: Final = (Arm.WITHOUT_DOS, Arm.WITH_DOS)
+"""The arms from left to right, as they are compared: with minus without."""
 
 Column = tuple[str, str, Callable[[Any], str]]
 

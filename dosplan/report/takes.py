@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import MappingProxyType
-from typing import Final
 
 import numpy as np
 import shapely
@@ -20,16 +18,11 @@ from dosplan.library import run_episode
 from dosplan.recorded import find_recorded
 from dosplan.recording import load_recording, pack_recording
 from dosplan.registry import create_planner, create_predictor
-from dosplan.report.scene import EGO_COLOUR
+from dosplan.report.scene import ARM_COLOURS, EGO_COLOUR
+from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.scenario import ScenarioRef, load_scenario
 from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Scenario, Score
 from dosplan.vehicle import VehicleParameters
-
-ARM_NAMES: Final = MappingProxyType({Arm.WITHOUT_DOS: "without DOS", Arm.WITH_DOS: "with DOS"})
-"""The arms in the order in which they are shown."""
-
-ARM_COLOURS: Final = MappingProxyType({Arm.WITHOUT_DOS: "#d55e00", Arm.WITH_DOS: "#0072b2"})
-"""Colour of the ego in each arm: that of the page of a run."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +135,7 @@ def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | No
         for row, recording in zip(found.rows, found.recordings, strict=True)
     }
     title = _title(scenario, found.manifest["planner"], found.manifest["predictor"])
-    return [takes[arm] for arm in ARM_NAMES if arm in takes], title
+    return [takes[arm] for arm in ARMS_SIDE_BY_SIDE if arm in takes], title
 
 
 def takes_of_drive(
@@ -168,7 +161,7 @@ def takes_of_drive(
     scenario, vehicle = load_scenario(ref), VehicleParameters()
     takes = []
     with TemporaryDirectory() as folder:
-        for arm in (arm for arm in ARM_NAMES if arm in arms):
+        for arm in (arm for arm in ARMS_SIDE_BY_SIDE if arm in arms):
             driven = run_episode(scenario, driver, foreteller, arm)
             path = Path(folder) / f"{arm}.npz"
             write_bytes(path, pack_recording(driven.episode, vehicle))
@@ -193,7 +186,7 @@ def takes_of_scenario(ref: ScenarioRef) -> Takes:
 
 
 def _take(scenario: Scenario, row: Score, drive: Drive | None) -> Take:
-    return Take(ARM_NAMES[row.arm], ARM_COLOURS[row.arm], scenario, row, drive)
+    return Take(ARM_TITLES[row.arm], ARM_COLOURS[row.arm], scenario, row, drive)
 
 
 def _title(scenario: str, planner: str, predictor: str) -> str:

@@ -326,6 +326,30 @@ def test_a_file_of_another_kind_is_a_file_error(tmp_path: Path, text: str) -> No
         Published(tmp_path).growth()
 
 
+@pytest.mark.parametrize("label", [7, None, ["PR"]])
+def test_a_label_that_is_no_text_is_a_file_error(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], label: object
+) -> None:
+    content = read_json(results / "prediction" / "bench.json")
+    content["data"]["methods"][0]["label"] = label
+    path = tmp_path / "prediction" / "bench.json"
+    write_json(path, content)
+    out = str(tmp_path / "out")
+    assert main(["figures", "trade-off", "--results", str(tmp_path), "--out", out]) == FAILED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{path} is not what `dosplan evaluate` of this version writes" in line
+    assert f"the label {label!r} is no text" in line
+
+
+def test_a_label_that_names_no_number_is_of_no_curve(results: Path, tmp_path: Path) -> None:
+    content = read_json(results / "prediction" / "bench.json")
+    before = trade_off.curves(Published(results).evaluation("prediction"))
+    odd = ("PR z=1.2.3", "PR z=.", "DOS ellipse k=. alpha=3", "DOS ellipse k=0.1 alpha=1.")
+    content["data"]["methods"] += [{"label": label, "options": {}} for label in odd]
+    write_json(tmp_path / "prediction" / "bench.json", content)
+    assert trade_off.curves(Published(tmp_path).evaluation("prediction")) == before
+
+
 def test_a_method_that_was_not_evaluated_is_named(results: Path, tmp_path: Path) -> None:
     content = read_json(results / "prediction" / "bench.json")
     content["sets"] = [row for row in content["sets"] if row["method"] != "DOS circle"]

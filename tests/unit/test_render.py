@@ -18,7 +18,7 @@ from shapely.geometry import Point, Polygon, box
 
 from dosplan import runner
 from dosplan.api import Planner, Predictor
-from dosplan.cli import BAD_INPUT, OK, main
+from dosplan.cli import BAD_INPUT, FAILED, OK, main
 from dosplan.episode import drive_episode
 from dosplan.executor import Results, Task
 from dosplan.explain.drive import Drive
@@ -30,7 +30,9 @@ from dosplan.report.framing import frame_scene
 from dosplan.report.layers import SET_COLOURS
 from dosplan.report.panel import USER_COLOURS
 from dosplan.report.pictures import write_gif
-from dosplan.report.takes import ARM_COLOURS, ARM_NAMES, Take
+from dosplan.report.scene import ARM_COLOURS
+from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
+from dosplan.report.takes import Take
 from dosplan.results import RunFolder
 from dosplan.run_config import RunConfig
 from dosplan.scenes import growing_sets, steady_tracks, straight_scenario
@@ -84,7 +86,7 @@ def driven(folder: Path, scenario: Scenario, arm: Arm = Arm.WITH_DOS) -> Take:
     path.write_bytes(pack_recording(episode, VEHICLE))
     row = score(scenario, episode, VEHICLE)
     drive = Drive(scenario, row, load_recording(path), VEHICLE)
-    return Take(ARM_NAMES[arm], ARM_COLOURS[arm], scenario, row, drive)
+    return Take(ARM_TITLES[arm], ARM_COLOURS[arm], scenario, row, drive)
 
 
 def following(*, gap: float = 30.0, final_step: int = 20, velocity: float = 10.0) -> Scenario:
@@ -116,7 +118,7 @@ def beside(take: Take, index: int) -> tuple[float, float]:
 
 
 def test_everybody_has_its_colour_where_the_recording_says(tmp_path: Path) -> None:
-    takes = [driven(tmp_path, following(gap=20.0), arm) for arm in ARM_NAMES]
+    takes = [driven(tmp_path, following(gap=20.0), arm) for arm in ARMS_SIDE_BY_SIDE]
     film = Film(takes, "title", scale=2.0)
     for step in (0, 7, 20):
         picture = film.picture(step)
@@ -133,7 +135,7 @@ def test_everybody_has_its_colour_where_the_recording_says(tmp_path: Path) -> No
 
 def test_sets_are_translucent_and_have_the_colour_of_their_step(tmp_path: Path) -> None:
     scene = following(gap=30.0, final_step=60)
-    takes = [driven(tmp_path, scene, arm) for arm in ARM_NAMES]
+    takes = [driven(tmp_path, scene, arm) for arm in ARMS_SIDE_BY_SIDE]
     film = Film(takes, "title", scale=2.0)
     picture = film.picture(0)
     # The car is at 30 m; 2.5 s ahead, the fifth of eight that are recorded, at 50 m. The set's
@@ -148,7 +150,7 @@ def test_sets_are_translucent_and_have_the_colour_of_their_step(tmp_path: Path) 
 
 
 def test_a_gif_has_a_picture_for_each_step_and_plays_in_real_time(tmp_path: Path) -> None:
-    takes = [driven(tmp_path, following(), arm) for arm in ARM_NAMES]
+    takes = [driven(tmp_path, following(), arm) for arm in ARMS_SIDE_BY_SIDE]
     write_gif(takes, "title", tmp_path / "film.gif")
     film = Film(takes, "title")
     with Image.open(tmp_path / "film.gif") as gif:
@@ -334,6 +336,25 @@ def test_a_planner_that_raises_is_drawn_to_where_it_did(run: Path, tmp_path: Pat
         assert gif.n_frames == 1  # type: ignore[attr-defined]
 
 
+def test_why_a_planner_failed_that_drove_first_is_told(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plugins = ["--planner", f"{FAULTY}:LeakyPlanner", "--predictor", f"{FAULTY}:StillPredictor"]
+    for name, code in (("ZAM_Test-0_1_T-1", OK), ("ZAM_Test-1_1_T-1", FAILED)):
+        out = tmp_path / f"{name}.png"
+        asked = ["render", name, "--source", str(scenes), *plugins, "--out", str(out)]
+        assert main(asked) == code
+        shown = capsys.readouterr()
+        assert shown.out == f"picture in {out}\n"
+        assert out.is_file()
+        if code == OK:
+            assert shown.err == ""
+        else:  # Once for both arms, as a run tells it.
+            (line,) = shown.err.splitlines()
+            assert line.startswith("2 x planner leaky-v1: RuntimeError: broken for good")
+            assert line.endswith(f"[{name}, without_dos]")
+
+
 @pytest.mark.parametrize("what", [f"SCENES/{NAME}.xml", NAME])
 def test_a_scenario_is_drawn_as_recorded_or_driven_first(
     scenes: Path, tmp_path: Path, what: str
@@ -356,6 +377,10 @@ def test_a_scenario_is_drawn_as_recorded_or_driven_first(
         (["BARE:ZAM_Test-0_1_T-1"], "BARE/episodes"),
         (["RUN"], "is a run: name one of its scenarios, as in"),
         (["ZAM_Test-9_1_T-1", "--source", "SCENES"], "did you mean ZAM_Test-"),
+        (["my/scene"], "my/scene does not exist; name a scenario file, or the id"),
+        (["scene.xml", "--source", "SCENES"], "scene.xml does not exist"),
+        (["scene.xml.gz"], "scene.xml.gz does not exist"),
+        (["ZAM_Test-0_1_T-1", "--seed", "-1"], "seed is -1; it must not be negative"),
         (["SCENES"], "holds 2 scenarios: name one, as in ZAM_Test-0_1_T-1 --source"),
         (["RUN:ZAM_Test-0_1_T-1", "--planner", "idm"], "are for a scenario, not for a run"),
         (["RUN:ZAM_Test-0_1_T-1", "--seed", "1"], "are for a scenario, not for a run"),

@@ -28,6 +28,8 @@ from dosplan.report.html.episode import Drive, encode_episode
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.html.scenes import families
 from dosplan.report.html.write import write_report
+from dosplan.report.scene import ARM_COLOURS
+from dosplan.report.tables import ARMS_SIDE_BY_SIDE
 from dosplan.results import row_line
 from dosplan.scenes import steady_tracks
 from dosplan.scoring import failed_score
@@ -252,6 +254,13 @@ def test_a_page_is_self_contained_and_allows_its_own_script_only(driven: Path) -
     assert f"script-src 'sha256-{digest}'".replace("=", "") in policy[1].replace(
         "&#39;", "'"
     ).replace("=", "")
+
+
+def test_arms_have_the_colours_that_they_have_in_films(driven: Path) -> None:
+    html = (driven / "report.html").read_text(encoding="utf-8")
+    light = re.search(r"--side-0: (#\w+); --side-1: (#\w+);", html)
+    assert light is not None
+    assert light.groups() == tuple(ARM_COLOURS[arm] for arm in ARMS_SIDE_BY_SIDE)
 
 
 def test_what_files_say_stays_text(tmp_path: Path) -> None:

@@ -8,22 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, PolyCollection
+from matplotlib.collections import EllipseCollection, PathCollection, PolyCollection
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from shapely.geometry import box
 
 from dosplan.geometry import rectangle_corners
+from dosplan.report.layers import Sets
 from dosplan.report.scene import (
     EGO_COLOUR,
     KIND_COLOURS,
     draw_scene,
     legend_handles,
 )
-from dosplan.scenes import busy_scenario, growing_sets
-from dosplan.simulation import observe
-from dosplan.types import EGO_X, GoalState, RoadMap, Scenario
+from dosplan.scenes import busy_scenario
+from dosplan.types import GoalState, RoadMap, Scenario
 from dosplan.vehicle import VehicleParameters
 
 GOAL = box(60.0, -1.5, 72.0, 1.5)
@@ -79,35 +79,23 @@ def test_past_the_recording_only_the_ego_is_left(axes: Axes, scenario: Scenario)
     assert set(_bodies(axes)) == {EGO_COLOUR}
 
 
-def test_ego_stands_at_its_start_or_where_it_drove(axes: Axes, scenario: Scenario) -> None:
-    start = scenario.task.start
-    drive = start + np.outer(np.arange(6), np.eye(5)[EGO_X])
-    # The ego starts at step 40 and moves 1 m a step; past the end of its drive it stays there.
-    for ego, step, metres in ((None, 43, 0), (drive, 40, 0), (drive, 43, 3), (drive, 60, 5)):
-        axes.clear()
-        draw_scene(axes, scenario, step, ego=ego)
-        (drawn,) = _bodies(axes)[EGO_COLOUR]
-        expected = VEHICLE.centre(start) + np.array([metres, 0.0])
-        np.testing.assert_allclose(drawn.mean(axis=0), expected)
+def test_ego_stands_at_its_start(axes: Axes, scenario: Scenario) -> None:
+    draw_scene(axes, scenario, 43)
+    (drawn,) = _bodies(axes)[EGO_COLOUR]
+    np.testing.assert_allclose(drawn.mean(axis=0), VEHICLE.centre(scenario.task.start))
 
 
-def test_sets_are_drawn_with_their_full_axes(axes: Axes, scenario: Scenario) -> None:
-    sets = growing_sets(observe(scenario, 40, scenario.task.start[None], history=1), horizon=3)
-    draw_scene(axes, scenario, 40, occupancy=sets)
+def test_sets_have_their_full_axes_and_the_latest_is_below(axes: Axes) -> None:
+    centres = np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [np.nan, 0.0]])
+    semi_axes = np.array([[2.0, 1.0], [0.0, 0.0], [4.0, 2.0], [1.0, 1.0]])
+    Sets(axes, zorder=4).show(centres, semi_axes, np.zeros(4), np.array([0.0, 0.5, 1.0, 0.2]))
     (ellipses,) = (c for c in axes.collections if isinstance(c, EllipseCollection))
-    # The last step is drawn first, so that none hides another.
-    centres = sets.centre[:, ::-1].swapaxes(0, 1).reshape(-1, 2)
-    full = 2.0 * sets.semi_axes[:, ::-1].swapaxes(0, 1).reshape(-1, 2)
-    np.testing.assert_allclose(np.asarray(ellipses.get_offsets()), centres)
-    np.testing.assert_allclose(np.asarray(ellipses.get_widths()), full[:, 0])
-    np.testing.assert_allclose(np.asarray(ellipses.get_heights()), full[:, 1])
-
-
-def test_points_are_no_sets(axes: Axes, scenario: Scenario) -> None:
-    sets = growing_sets(observe(scenario, 40, scenario.task.start[None], history=1)).without_sets()
-    draw_scene(axes, scenario, 40, occupancy=sets)
-    (ellipses,) = (c for c in axes.collections if isinstance(c, EllipseCollection))
-    assert len(np.asarray(ellipses.get_offsets())) == 0
+    (points,) = (c for c in axes.collections if isinstance(c, PathCollection))
+    # The latest is drawn first, so that none hides another; what has no extent is a point.
+    np.testing.assert_array_equal(np.asarray(ellipses.get_offsets()), centres[[2, 0]])
+    np.testing.assert_array_equal(np.asarray(ellipses.get_widths()), [8.0, 4.0])
+    np.testing.assert_array_equal(np.asarray(ellipses.get_heights()), [4.0, 2.0])
+    np.testing.assert_array_equal(np.asarray(points.get_offsets()), centres[[1]])
 
 
 def test_view_is_square_and_shows_start_and_goal(axes: Axes, scenario: Scenario) -> None:

@@ -13,6 +13,7 @@ from dosplan.files import FileError
 from dosplan.intervals import Interval, mean_interval, share_interval
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
+from dosplan.report.scene import ARM_COLOURS
 from dosplan.report.tables import ARM_TITLES
 from dosplan.types import Arm, Outcome, Score
 
@@ -87,7 +88,7 @@ def _intervals(axes: Axes, found: dict[Arm, list[Interval]], names: Sequence[str
             value,
             places + _APART * (i - 0.5),
             xerr=(value - low, high - value),
-            color=style.ARM_COLOURS[arm],
+            color=ARM_COLOURS[arm],
             marker=style.ARM_MARKERS[arm],
             linestyle="none",
             label=ARM_TITLES[arm],

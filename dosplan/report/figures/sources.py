@@ -98,7 +98,7 @@ class Published:
             return Evaluation(
                 path=path,
                 options={
-                    method["label"]: dict(method["options"])
+                    _text(method["label"]): dict(method["options"])
                     for method in content["data"]["methods"]
                 },
                 sets={
@@ -182,6 +182,12 @@ def _read(path: Path, command: str) -> Any:
 def _other(path: Path, command: str, error: Exception) -> FileError:
     said = " ".join(f"{type(error).__name__}: {error}".split())
     return FileError(f"{path} is not what `{command}` of this version writes ({said})")
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(f"the label {value!r:.100} is no text")
+    return value
 
 
 def _by(rows: Any, *keys: str) -> dict[Any, list[Mapping[str, Any]]]:

@@ -33,7 +33,6 @@ BLUE, ORANGE, GREEN = "#0072b2", "#e69f00", "#009e73"
 VERMILION, PURPLE, SKY = "#d55e00", "#cc79a7", "#56b4e9"
 HORIZON_COLOURS: Final = ("#9ecae1", "#4292c6", "#08519c", "#041f4a")
 """For 1, 2, 3 and 4 s ahead: the further, the darker."""
-ARM_COLOURS: Final = MappingProxyType({Arm.WITH_DOS: BLUE, Arm.WITHOUT_DOS: ORANGE})
 ARM_MARKERS: Final = MappingProxyType({Arm.WITH_DOS: "o", Arm.WITHOUT_DOS: "s"})
 
 _STYLE: Final = {

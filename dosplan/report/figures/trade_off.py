@@ -17,7 +17,8 @@ from dosplan.report.figures.sources import Evaluation, Published
 
 _MAIN: Final = "DOS ellipse"  # The paper's main setting: k 0.1, alpha 3.
 _MAIN_K, _MAIN_ALPHA = 0.1, 3.0
-_PARAMETERS: Final = re.compile(r"DOS ellipse k=([\d.]+) alpha=([\d.]+)")
+_NUMBER: Final = r"(\d+(?:\.\d+)?)"
+_PARAMETERS: Final = re.compile(f"DOS ellipse k={_NUMBER} alpha={_NUMBER}")
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def curves(evaluation: Evaluation) -> list[Curve]:
         values = {
             float(label.removeprefix(prefix)): label
             for label in evaluation.options
-            if re.fullmatch(re.escape(prefix) + r"[\d.]+", label)
+            if re.fullmatch(re.escape(prefix) + _NUMBER, label)
         }
         if not values:
             raise FileError(f"{evaluation.path} has no method {prefix}...")

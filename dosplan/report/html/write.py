@@ -13,11 +13,9 @@ from dosplan.files import write_text
 from dosplan.report.html.page import build_page
 from dosplan.report.html.scenes import find_scenes
 from dosplan.report.html.sides import Pairing, Side
+from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results import RunFolder, read_manifest, read_run
 from dosplan.types import Arm
-
-_ARM_NAMES: Final = {Arm.WITHOUT_DOS: "without DOS", Arm.WITH_DOS: "with DOS"}
-"""The arms in the order in which they are compared: with minus without."""
 
 _ARM_TEXTS: Final = {
     Arm.WITH_DOS: "With DOS, the planner keeps clear of dynamic occupancy sets: for every road "
@@ -43,8 +41,8 @@ def write_report(run: Path, out: Path | None = None, source: str | None = None) 
     manifest, rows = read_run(run)
     folder = RunFolder(run)
     sides = tuple(
-        Side(name, folder, {row.scenario: row for row in rows if row.arm is arm}, arm)
-        for arm, name in _ARM_NAMES.items()
+        Side(ARM_TITLES[arm], folder, {row.scenario: row for row in rows if row.arm is arm}, arm)
+        for arm in ARMS_SIDE_BY_SIDE
         if arm in manifest["config"]["arms"]
     )
     pairing = _pairing("", sides, manifest, source)
@@ -77,7 +75,7 @@ def write_comparison(specs: Sequence[str], out: Path) -> Path:
             Side(letter, RunFolder(side.path), {row.scenario: row for row in side.rows}, side.arm)
             for letter, side in zip("AB", pair, strict=True)
         )
-        title = ", ".join(f"{side.name}: {_ARM_NAMES[side.arm]}" for side in sides)
+        title = ", ".join(f"{side.name}: {ARM_TITLES[side.arm]}" for side in sides)
         pairings.append(_pairing(title, sides, manifests[0], None))
         for side, manifest in zip(sides, manifests, strict=True):
             told = ", ".join(_facts(manifest).values())

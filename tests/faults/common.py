@@ -6,13 +6,11 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dosplan.episode import drive_episode
-from dosplan.executor import Results, Task
 from dosplan.results import RunFolder
 from dosplan.runner import RunConfig
 from tests.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
@@ -35,18 +33,6 @@ def write_scenes(folder: Path, count: int) -> Path:
             benchmark_id=name,
         )
     return folder
-
-
-class InProcess:
-    """An executor that drives in the test's own process, which is quicker."""
-
-    def __init__(self, config: RunConfig) -> None:
-        self.config = config
-
-    def drive(self, tasks: Iterable[Task]) -> Results:
-        """Drives one after another."""
-        for ref, arm in tasks:
-            yield (ref, arm), drive_episode(ref, arm, self.config)
 
 
 def configured(out: Path, scenes: Path, planner: str = "CoastPlanner", **changes: Any) -> RunConfig:

@@ -18,7 +18,6 @@ from dosplan.results import RunFolder
 from dosplan.runner import RunError, run
 from dosplan.scenario import find_scenarios
 from tests.faults.common import (
-    InProcess,
     command,
     configured,
     rows_in,
@@ -26,6 +25,7 @@ from tests.faults.common import (
     untimed,
     write_scenes,
 )
+from tests.short_runs import InProcess
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,6 @@ from dosplan.results import RunFolder, row_line
 from dosplan.runner import RunConfig, RunError, run
 from dosplan.types import Score
 from tests.faults.common import (
-    InProcess,
     command,
     configured,
     rows_in,
@@ -26,6 +25,7 @@ from tests.faults.common import (
     untimed,
     write_scenes,
 )
+from tests.short_runs import InProcess
 
 EPISODES = 4  # Two scenarios in both arms.
 

@@ -18,7 +18,8 @@ from dosplan.files import FileError
 from dosplan.runner import RunError, run
 from dosplan.scenario import find_scenarios
 from dosplan.types import Outcome
-from tests.faults.common import InProcess, configured, untimed, write_scenes
+from tests.faults.common import configured, untimed, write_scenes
+from tests.short_runs import InProcess
 
 
 @pytest.fixture(autouse=True)

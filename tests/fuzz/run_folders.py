@@ -25,9 +25,10 @@ from dosplan.results import RunFolder, read_run
 from dosplan.runner import RunConfig, run
 from dosplan.scenario.folders import cache_folder
 from dosplan.types import Arm
-from tests.faults.common import InProcess, configured, write_scenes
+from tests.faults.common import configured, write_scenes
 from tests.fuzz.byte_damage import damage_binary
 from tests.fuzz.harness import Case, one_line_at_most, shell
+from tests.short_runs import InProcess
 
 RUN: Final = Path("run")
 SCENES: Final = Path("scenes")

@@ -29,8 +29,9 @@ from dosplan.scoring import failed_score
 from dosplan.types import Arm, Plan, ShapeError
 from dosplan.yaml_text import MAX_DEPTH, YamlError, parse_yaml
 from tests import scenes
-from tests.faults.common import InProcess, configured, write_scenes
+from tests.faults.common import configured, write_scenes
 from tests.scenes import Goal, Problem, User, scenario_xml
+from tests.short_runs import InProcess
 
 GOOD = scenario_xml(scenes.straight_road(), [User(7, scenes.driving(50.0, 0.0, 5.0, 5))])
 

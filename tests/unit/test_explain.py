@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,8 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dosplan import runner
 from dosplan.api import Planner, Predictor
 from dosplan.cli import BAD_INPUT, OK, main
-from dosplan.episode import drive_episode
-from dosplan.executor import Results, Task
 from dosplan.explain import Explanation, explain_episode
 from dosplan.explain.collision import CollisionFacts, Course
 from dosplan.explain.goal import GoalFacts
@@ -27,7 +23,6 @@ from dosplan.explain.road import RoadFacts
 from dosplan.files import FileError
 from dosplan.recording import load_recording, pack_recording
 from dosplan.results import RunFolder, read_rows, row_line
-from dosplan.run_config import RunConfig
 from dosplan.scenes import CAR_SIZE, LANE_WIDTH, growing_sets, steady_tracks, straight_scenario
 from dosplan.scoring import failed_score, score
 from dosplan.simulation import run_episode
@@ -50,7 +45,7 @@ from dosplan.types import (
 )
 from dosplan.vehicle import VehicleParameters
 from tests.factories import arc_route
-from tests.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+from tests.short_runs import run_leaky, write_followed
 
 FAULTY = Path(__file__).with_name("faulty.py")
 VEHICLE = VehicleParameters()
@@ -498,41 +493,13 @@ def test_another_scenario_is_refused(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scenarios of one second: in the second, the planner of the run raises."""
-    folder = tmp_path_factory.mktemp("scenes")
-    goal = Goal(first_step=0, last_step=10, position=rectangle(4.0, 3.0, 40.0, 0.0))
-    for i in range(2):
-        name = f"ZAM_Test-{i}_1_T-1"
-        write_scenario_xml(
-            folder / f"{name}.xml",
-            users=[User(7, driving(60.0, 0.0, 5.0, 11))],
-            problems=[Problem(goals=(goal,))],
-            benchmark_id=name,
-        )
-    return folder
+    return write_followed(tmp_path_factory.mktemp("scenes"))
 
 
 @pytest.fixture(scope="module")
 def folder(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    """A run of them, driven in the test's own process."""
-
-    class InProcess:
-        def __init__(self, config: RunConfig) -> None:
-            self.config = config
-
-        def drive(self, tasks: Iterable[Task]) -> Results:
-            for ref, arm in tasks:
-                yield (ref, arm), drive_episode(ref, arm, self.config)
-
-    config = RunConfig(
-        out=tmp_path_factory.mktemp("run") / "mine",
-        source=str(scenes),
-        planner=f"{FAULTY}:LeakyPlanner",
-        predictor=f"{FAULTY}:StillPredictor",
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "LocalExecutor", InProcess)
-        return runner.run(config)
+    """A run of them; in the second, the planner raises."""
+    return run_leaky(tmp_path_factory.mktemp("run") / "mine", scenes)
 
 
 def test_the_command_tells_both_arms_and_writes_the_same(

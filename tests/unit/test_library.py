@@ -21,7 +21,8 @@ from dosplan.library import Results, _spec
 from dosplan.registry import RegistryError
 from dosplan.run_config import RunError
 from dosplan.types import Arm, Score
-from tests.faults.common import PLANNERS, STILL, InProcess, untimed, write_scenes
+from tests.faults.common import PLANNERS, STILL, untimed, write_scenes
+from tests.short_runs import InProcess
 from tests.unit.faulty import CoastPlanner, StillPredictor
 
 

@@ -26,7 +26,7 @@ from dosplan.report.progress import show_run
 from dosplan.results import read_rows
 from dosplan.scoring import failed_score
 from dosplan.types import Arm, Outcome, Score
-from tests.scenes import Goal, Problem, rectangle, write_scenario_xml
+from tests.short_runs import write_reached_and_missed
 
 FAULTY = Path(__file__).with_name("faulty.py")
 COAST = ("--planner", f"{FAULTY}:CoastPlanner", "--predictor", f"{FAULTY}:StillPredictor")
@@ -123,14 +123,7 @@ def test_counting_starts_with_what_is_there() -> None:
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scenarios of one second; the goal of the second is behind the ego."""
-    folder = tmp_path_factory.mktemp("scenes")
-    for name, x in (("ZAM_Test-0_1_T-1", 20.0), ("ZAM_Test-1_1_T-1", 2.0)):
-        goal = Goal(first_step=0, last_step=10, position=rectangle(4.0, 3.0, x, 0.0))
-        write_scenario_xml(
-            folder / f"{name}.xml", problems=[Problem(goals=(goal,))], benchmark_id=name
-        )
-    return folder
+    return write_reached_and_missed(tmp_path_factory.mktemp("scenes"))
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,11 +15,8 @@ from numpy.typing import ArrayLike
 from PIL import Image
 from shapely.geometry import Point, Polygon, box
 
-from dosplan import runner
 from dosplan.api import Planner, Predictor
 from dosplan.cli import BAD_INPUT, FAILED, OK, main
-from dosplan.episode import drive_episode
-from dosplan.executor import Results, Task
 from dosplan.explain.drive import Drive
 from dosplan.files import FileError
 from dosplan.geometry import rectangle_corners
@@ -34,7 +30,6 @@ from dosplan.report.scene import ARM_COLOURS
 from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.report.takes import Take
 from dosplan.results import RunFolder
-from dosplan.run_config import RunConfig
 from dosplan.scenes import growing_sets, steady_tracks, straight_scenario
 from dosplan.scoring import score
 from dosplan.simulation import run_episode
@@ -50,7 +45,7 @@ from dosplan.types import (
     Scenario,
 )
 from dosplan.vehicle import VehicleParameters
-from tests.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+from tests.short_runs import run_leaky, write_followed
 
 FAULTY = Path(__file__).with_name("faulty.py")
 VEHICLE = VehicleParameters()
@@ -264,41 +259,13 @@ def test_panels_fit_and_show_the_drives(count: int, wide: float, tall: float, wh
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two scenarios of one second: in the second, the planner of the run raises."""
-    folder = tmp_path_factory.mktemp("scenes")
-    goal = Goal(first_step=0, last_step=10, position=rectangle(4.0, 3.0, 40.0, 0.0))
-    for i in range(2):
-        name = f"ZAM_Test-{i}_1_T-1"
-        write_scenario_xml(
-            folder / f"{name}.xml",
-            users=[User(7, driving(60.0, 0.0, 5.0, 11))],
-            problems=[Problem(goals=(goal,))],
-            benchmark_id=name,
-        )
-    return folder
+    return write_followed(tmp_path_factory.mktemp("scenes"))
 
 
 @pytest.fixture(scope="module")
 def run(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of them, driven in the test's own process."""
-
-    class InProcess:
-        def __init__(self, config: RunConfig) -> None:
-            self.config = config
-
-        def drive(self, tasks: Iterable[Task]) -> Results:
-            for ref, arm in tasks:
-                yield (ref, arm), drive_episode(ref, arm, self.config)
-
-    config = RunConfig(
-        out=tmp_path_factory.mktemp("run") / "mine",
-        source=str(scenes),
-        planner=f"{FAULTY}:LeakyPlanner",
-        predictor=f"{FAULTY}:StillPredictor",
-    )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "LocalExecutor", InProcess)
-        return runner.run(config).path
+    """A run of them; in the second, the planner raises."""
+    return run_leaky(tmp_path_factory.mktemp("run") / "mine", scenes).path
 
 
 def _size(path: Path) -> tuple[int, int]:

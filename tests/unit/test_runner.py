@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,6 @@ import pytest
 
 from dosplan import episode, runner, workers
 from dosplan.episode import drive_episode
-from dosplan.executor import Results, Task
 from dosplan.files import FileError, read_json
 from dosplan.observer import ProgressObserver
 from dosplan.recording import KEPT_EVERY, load_recording
@@ -30,6 +28,7 @@ from dosplan.scenario import ScenarioError, find_scenarios
 from dosplan.scoring import failed_score
 from dosplan.types import Arm, Outcome
 from tests.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+from tests.short_runs import InProcess
 
 FAULTY = Path(__file__).with_name("faulty.py")
 STEPS = 10
@@ -60,15 +59,6 @@ def finished(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> RunFolde
 @pytest.fixture
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drives episodes in the test's own process, which is quicker."""
-
-    class InProcess:
-        def __init__(self, config: RunConfig) -> None:
-            self.config = config
-
-        def drive(self, tasks: Iterable[Task]) -> Results:
-            for ref, arm in tasks:
-                yield (ref, arm), drive_episode(ref, arm, self.config)
-
     monkeypatch.setattr(runner, "LocalExecutor", InProcess)
 
 

@@ -20,8 +20,9 @@ from dosplan.scenario import ScenarioError
 from dosplan.scenario.solution import Drive, solution_xml
 from dosplan.types import Arm, FloatArray
 from dosplan.vehicle import VehicleParameters
-from tests.faults.common import PLANNERS, STILL, InProcess, configured, write_scenes
+from tests.faults.common import PLANNERS, STILL, configured, write_scenes
 from tests.scenes import Goal, Problem, rectangle, write_scenario_xml
+from tests.short_runs import InProcess
 
 VEHICLE = VehicleParameters()
 DATE = datetime(2026, 3, 1, 12, 30, 5, tzinfo=UTC)

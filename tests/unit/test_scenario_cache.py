@@ -96,7 +96,7 @@ def test_every_field_of_a_suite_scenario_comes_back(row: dict[str, str]) -> None
 def test_a_hit_parses_nothing(scene: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ref = find_scenarios(scene)[0]
     load_scenario(ref, cached=True)
-    monkeypatch.setattr("dosplan.scenario._parse", None)  # Parsing would raise.
+    monkeypatch.setattr("dosplan.scenario.parse_scenario", None)  # Parsing would raise.
     assert load_scenario(ref, cached=True).id == ref.id
 
 

@@ -50,6 +50,7 @@ def _noted() -> set[tuple[str, str]]:
 @cache
 def _usual() -> tuple[str, ...]:
     """Places that the interpreter, the libraries and the project's own files are in."""
-    python = [*sysconfig.get_paths().values(), *filter(None, sys.path), sys.prefix, sys.base_prefix]
-    places = [*map(Path, python), _PROJECT, cache_folder()]
+    python = [*sysconfig.get_paths().values(), *sys.path, sys.prefix, sys.base_prefix]
+    bytecode = sys.pycache_prefix or ""
+    places = [*map(Path, filter(None, (*python, bytecode))), _PROJECT, cache_folder()]
     return (*(str(place.resolve()) for place in places), *_SYSTEM)

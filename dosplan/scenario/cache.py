@@ -243,9 +243,11 @@ def _entry(ref: ScenarioRef, content: bytes) -> Path:
 def _code_digest() -> str:
     """Fingerprints the code that makes a ``Scenario`` of a file."""
     package = Path(__file__).resolve().parents[1]
-    modules = [package / f"{name}.py" for name in ("geometry", "types", "vehicle")]
+    modules = [package / f"{name}.py" for name in ("geometry", "vehicle")]
+    for name in ("types", "scenario"):
+        modules += sorted(package.glob(f"{name}/*.py"))
     total = sha256(f"format {_FORMAT}\n".encode())
-    for path in [*modules, *sorted(package.glob("scenario/*.py"))]:
+    for path in modules:
         total.update(path.name.encode() + sha256(path.read_bytes()).digest())
     for library in _LIBRARIES:
         total.update(f"{library} {version(library)}\n".encode())

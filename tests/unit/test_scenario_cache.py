@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import shutil
 import statistics
 import time
 import zipfile
@@ -130,6 +131,20 @@ def test_an_entry_follows_from_content_name_and_code(
     monkeypatch.setattr(cache, "_code_digest", lambda: "other code")
     load_scenario(ref, cached=True)
     assert len(_entries(folder)) == 5
+
+
+@pytest.mark.parametrize(
+    "module", ["geometry.py", "scenario/reader.py", "types/arrays.py", "types/scenario.py"]
+)
+def test_an_entry_follows_from_the_code_of_every_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
+) -> None:
+    package = tmp_path / "dosplan"
+    shutil.copytree(Path(cache.__file__).parents[1], package)
+    monkeypatch.setattr(cache, "__file__", str(package / "scenario" / "cache.py"))
+    before = cache._code_digest.__wrapped__()
+    (package / module).write_bytes((package / module).read_bytes() + b"\n")
+    assert cache._code_digest.__wrapped__() != before
 
 
 class _Bomb:

@@ -1,0 +1,69 @@
+"""The arrays that values are made of: element types, columns, and the check that freezes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+
+EGO_X: Final = 0
+EGO_Y: Final = 1
+EGO_STEERING: Final = 2
+EGO_VELOCITY: Final = 3
+EGO_HEADING: Final = 4
+EGO_SIZE: Final = 5
+
+USER_X: Final = 0
+USER_Y: Final = 1
+USER_HEADING: Final = 2
+USER_VELOCITY: Final = 3
+USER_SIZE: Final = 4
+
+
+class ShapeError(ValueError):
+    """An array that does not have the shape or the finiteness its field promises."""
+
+
+def frozen(
+    owner: object, field: str, dtype: Any, shape: Sequence[int | None], finite: bool = False
+) -> None:
+    """Replaces ``owner.field`` by a read-only copy after checking its shape.
+
+    What is stored is a view of a copy that is read-only itself, so that ``setflags`` cannot make
+    it writable again.
+
+    Args:
+        owner: A frozen dataclass instance.
+        field: Name of the field.
+        dtype: The numpy dtype that is wanted.
+        shape: Expected shape; ``None`` stands for any length.
+        finite: Whether NaN and infinity are refused.
+
+    Raises:
+        ShapeError: The array has another shape or holds a value that is not finite.
+    """
+    value = getattr(owner, field)
+    where = f"{type(owner).__name__}.{field}"
+    name = getattr(owner, "scenario_id", None)
+    suffix = f" (scenario {name})" if name else ""
+    try:
+        if np.iscomplexobj(value):  # numpy would drop the imaginary part, and only warn.
+            raise TypeError("it holds complex numbers")
+        array = np.array(value, dtype=dtype)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{where} is not an array of {np.dtype(dtype)}: {error}{suffix}") from None
+    if array.ndim != len(shape) or any(
+        want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
+    ):
+        wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
+        raise ShapeError(f"{where} has shape {array.shape}, expected {wanted}{suffix}")
+    if finite and not np.all(np.isfinite(array)):
+        raise ShapeError(f"{where} holds a NaN or an infinite value{suffix}")
+    array.setflags(write=False)
+    object.__setattr__(owner, field, array.view())

@@ -1,0 +1,71 @@
+"""What happened in one closed-loop run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from dosplan.types.arrays import EGO_SIZE, FloatArray, IntArray, ShapeError, frozen
+from dosplan.types.planning import Occupancy, Plan
+
+
+class Arm(StrEnum):
+    """The two arms of the comparison; they differ in the ``Occupancy`` the planner is handed."""
+
+    WITH_DOS = "with_dos"
+    WITHOUT_DOS = "without_dos"
+
+
+class EpisodeEnd(StrEnum):
+    """Why the simulation stopped."""
+
+    GOAL_REACHED = "goal_reached"
+    TIME_OVER = "time_over"
+    PLANNER_FAILURE = "planner_failure"
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Everything that happened in one closed-loop run.
+
+    Attributes:
+        scenario_id: Id of the scenario.
+        arm: Which arm was driven.
+        start_step: Step of the first state.
+        states: (K + 1, 5) driven ego states.
+        inputs: (K, 2) inputs that were applied.
+        end: Why the simulation stopped.
+        predict_seconds: (C,) wall-clock time of each prediction, s; C planning cycles.
+        plan_seconds: (C,) wall-clock time of each plan, s.
+        plans: The C plans.
+        occupancies: The C occupancies that were handed to the planner.
+        cycle_steps: (C,) step at which each cycle ran.
+        error: What went wrong, where ``end`` is ``PLANNER_FAILURE``.
+    """
+
+    scenario_id: str
+    arm: Arm
+    start_step: int
+    states: FloatArray
+    inputs: FloatArray
+    end: EpisodeEnd
+    predict_seconds: FloatArray
+    plan_seconds: FloatArray
+    plans: tuple[Plan, ...]
+    occupancies: tuple[Occupancy, ...]
+    cycle_steps: IntArray
+    error: str | None = None
+
+    def __post_init__(self) -> None:
+        frozen(self, "inputs", np.float64, (None, 2), finite=True)
+        frozen(self, "states", np.float64, (len(self.inputs) + 1, EGO_SIZE), finite=True)
+        c = len(self.plans)
+        frozen(self, "predict_seconds", np.float64, (c,))
+        frozen(self, "plan_seconds", np.float64, (c,))
+        frozen(self, "cycle_steps", np.int64, (c,))
+        if len(self.occupancies) != c:
+            raise ShapeError(
+                f"Episode.occupancies has {len(self.occupancies)} entries, expected {c}"
+            )

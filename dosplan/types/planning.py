@@ -1,0 +1,232 @@
+"""What one planning cycle hands on: what is known, what is predicted and what is planned."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+from numbers import Integral, Real
+from typing import Final, Self
+
+import numpy as np
+
+from dosplan.types.arrays import (
+    EGO_SIZE,
+    USER_SIZE,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    ShapeError,
+    frozen,
+)
+from dosplan.types.scenario import PlanningTask, RoadMap, RoadUserKind
+
+HISTORY_STEPS: Final = 31  # Steps that a predictor is shown, the present one included: 3 s.
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a planner and a predictor may know at a step. The future is unreachable from it.
+
+    Attributes:
+        step: The present step.
+        dt: Step, s.
+        ego: (5,) ego state now.
+        ego_history: (H, 5) ego states at steps ``step - H + 1 .. step``; NaN before the start.
+        ids: (N,) ids of the road users that are on the scene now.
+        kinds: N kinds.
+        size: (N, 2) length and width, m.
+        states: (N, H, 4) road-user states at the same steps; NaN where not ``valid``.
+        valid: (N, H) whether the road user was on the scene; the last column is all True.
+        road_map: The map.
+        task: Start, goal and route.
+    """
+
+    step: int
+    dt: float
+    ego: FloatArray
+    ego_history: FloatArray
+    ids: IntArray
+    kinds: tuple[RoadUserKind, ...]
+    size: FloatArray
+    states: FloatArray
+    valid: BoolArray
+    road_map: RoadMap
+    task: PlanningTask
+
+    def __post_init__(self) -> None:
+        frozen(self, "ego", np.float64, (EGO_SIZE,), finite=True)
+        frozen(self, "ego_history", np.float64, (None, EGO_SIZE))
+        h = len(self.ego_history)
+        frozen(self, "ids", np.int64, (None,))
+        n = len(self.ids)
+        frozen(self, "size", np.float64, (n, 2), finite=True)
+        frozen(self, "states", np.float64, (n, h, USER_SIZE))
+        frozen(self, "valid", np.bool_, (n, h))
+        if len(self.kinds) != n:
+            raise ShapeError(f"Observation.kinds has {len(self.kinds)} entries, expected {n}")
+        if not np.all(self.valid[:, -1]):
+            raise ShapeError("Observation.valid names a road user that is not on the scene now")
+
+    @property
+    def moves(self) -> BoolArray:
+        """(N,) whether each road user can move at all, see ``RoadUserKind.moves``."""
+        return np.array([kind.moves for kind in self.kinds], dtype=np.bool_)
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """Where road users will be: one ellipse for each road user's **centre** and future step.
+
+    Column ``t`` of the arrays stands for step ``observation.step + 1 + t``.
+
+    Attributes:
+        ids: (N,) ids of the road users.
+        centre: (N, T, 2) predicted centre, m.
+        semi_axes: (N, T, 2) semi-axes of the ellipse, m; zero means the centre itself.
+        angle: (N, T) direction of the first semi-axis, rad.
+        valid: (N, T) whether the road user is predicted to be on the scene.
+        footprint: (N, 2) length and width of the road user, m.
+        heading: (N, T) predicted heading of the road user, rad.
+    """
+
+    ids: IntArray
+    centre: FloatArray
+    semi_axes: FloatArray
+    angle: FloatArray
+    valid: BoolArray
+    footprint: FloatArray
+    heading: FloatArray
+
+    def __post_init__(self) -> None:
+        frozen(self, "ids", np.int64, (None,))
+        n = len(self.ids)
+        frozen(self, "centre", np.float64, (n, None, 2))
+        t = self.centre.shape[1]
+        frozen(self, "semi_axes", np.float64, (n, t, 2))
+        frozen(self, "angle", np.float64, (n, t))
+        frozen(self, "valid", np.bool_, (n, t))
+        frozen(self, "footprint", np.float64, (n, 2), finite=True)
+        frozen(self, "heading", np.float64, (n, t))
+        for field in ("centre", "semi_axes", "angle", "heading"):
+            if not np.all(np.isfinite(getattr(self, field)[self.valid])):
+                raise ShapeError(f"Occupancy.{field} holds a NaN or an infinite value where valid")
+        if np.any(self.semi_axes[self.valid] < 0):
+            raise ShapeError("Occupancy.semi_axes holds a negative length")
+
+    @property
+    def horizon(self) -> int:
+        """Number T of predicted steps."""
+        return int(self.centre.shape[1])
+
+    def without_sets(self) -> Self:
+        """The same predicted positions with semi-axes of zero: the *without DOS* arm."""
+        return replace(self, semi_axes=np.zeros_like(self.semi_axes))
+
+
+class SolveStatus(Enum):
+    """How a plan came about, with what a reader can do about it.
+
+    The value is the word that is stored in results; ``advice`` says what to do.
+    """
+
+    SOLVED = ("solved", "Nothing to do.")
+    ACCEPTED = (
+        "accepted",
+        "The solver stopped early, but the residuals of its iterate are small enough to drive. "
+        "Raise max_iter if this is frequent.",
+    )
+    MAX_ITERATIONS = (
+        "max_iterations",
+        "The solver ran out of iterations with large residuals; the fallback was driven. "
+        "Raise max_iter or look at the initial guess.",
+    )
+    SOLVER_ERROR = (
+        "solver_error",
+        "The solver returned NaN or raised; the fallback was driven. "
+        "Look at the scaling of the scene and at the initial guess.",
+    )
+    NOT_OPTIMISED = ("not_optimised", "The planner does not solve an optimisation problem.")
+
+    def __init__(self, word: str, advice: str) -> None:
+        self.word = word
+        self.advice = advice
+
+    @property
+    def failed(self) -> bool:
+        """Whether the solver was asked for a plan and gave none."""
+        return self in (SolveStatus.MAX_ITERATIONS, SolveStatus.SOLVER_ERROR)
+
+
+def _whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _finite(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+@dataclass(frozen=True)
+class SolveReport:
+    """How one plan was found.
+
+    Attributes:
+        status: What the solver said.
+        iterations: Iterations over all solves of this cycle.
+        seconds: Wall-clock time inside the solver, s.
+        slack: Largest slack of a set constraint in the plan, in normalised set distance.
+        active_ids: Ids of the road users whose sets touch the plan.
+        fallback: Name of the fallback that was driven, or None.
+        road_slack: How far the plan leaves the road, by the planner's own reckoning, m.
+    """
+
+    status: SolveStatus = SolveStatus.NOT_OPTIMISED
+    iterations: int = 0
+    seconds: float = 0.0
+    slack: float = 0.0
+    active_ids: tuple[int, ...] = ()
+    fallback: str | None = None
+    road_slack: float = 0.0
+
+    def __post_init__(self) -> None:
+        checks = (
+            ("status", isinstance(self.status, SolveStatus), "a SolveStatus"),
+            ("iterations", _whole(self.iterations) and self.iterations >= 0, "an integer >= 0"),
+            ("seconds", _finite(self.seconds), "a finite number"),
+            ("slack", _finite(self.slack), "a finite number"),
+            (
+                "active_ids",
+                isinstance(self.active_ids, tuple) and all(map(_whole, self.active_ids)),
+                "a tuple of integers",
+            ),
+            ("fallback", isinstance(self.fallback, str | None), "a name or None"),
+            ("road_slack", _finite(self.road_slack), "a finite number"),
+        )
+        for field, holds, wanted in checks:
+            if not holds:
+                raise ShapeError(
+                    f"SolveReport.{field} is {getattr(self, field)!r}, expected {wanted}"
+                )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A trajectory for the ego from now on.
+
+    Attributes:
+        states: (T + 1, 5) ego states, the present one first.
+        inputs: (T, 2) steering rate, rad/s, and acceleration, m/s2, held for a step each.
+        report: How it was found.
+    """
+
+    states: FloatArray
+    inputs: FloatArray
+    report: SolveReport = SolveReport()
+
+    def __post_init__(self) -> None:
+        frozen(self, "inputs", np.float64, (None, 2), finite=True)
+        frozen(self, "states", np.float64, (len(self.inputs) + 1, EGO_SIZE), finite=True)
+        if len(self.inputs) == 0:
+            raise ShapeError("Plan.inputs is empty: a plan needs one step at least")
+        if not isinstance(self.report, SolveReport):
+            raise ShapeError(f"Plan.report is {self.report!r}, expected a SolveReport")

@@ -52,13 +52,19 @@ class ForbiddenSets:
         Returns:
             (..., n, T) smallest distance over the discs.
         """
-        s = self.slots
-        delta = points[..., None, :, :, :] - s[:, :, None, :2]
-        z1 = s[..., None, 2] * delta[..., 0] + s[..., None, 3] * delta[..., 1]
-        z2 = s[..., None, 4] * delta[..., 0] + s[..., None, 5] * delta[..., 1]
-        z1 *= z1
-        z2 *= z2
-        return np.asarray(np.sqrt(np.sqrt((z1 * z1 + z2 * z2).min(axis=-1))))
+        n, lead = len(self.ids), points.shape[:-3]
+        steps, discs = points.shape[-3:-1]
+        origin = points.reshape(-1, 2)[0]  # Map coordinates are large: digits would be lost.
+        matrix = self.slots[..., 2:6].reshape(n, steps, 2, 2)
+        shift = (matrix @ (self.slots[..., :2] - origin)[..., None])[..., 0]
+        # z of all sets is one product per step: (T, D C, 2) @ (T, 2, 2 n).
+        near = (points - origin).reshape(-1, steps, discs, 2).transpose(1, 2, 0, 3)
+        z = near.reshape(steps, -1, 2) @ matrix.transpose(1, 3, 2, 0).reshape(steps, 2, 2 * n)
+        z -= shift.transpose(1, 2, 0).reshape(steps, 1, 2 * n)
+        z *= z
+        z *= z
+        fourth = (z[..., :n] + z[..., n:]).reshape(steps, discs, -1, n).min(axis=1)
+        return np.asarray(np.sqrt(np.sqrt(fourth)).transpose(1, 2, 0).reshape(*lead, n, steps))
 
     def nearest(self, points: FloatArray, count: int, within: float = np.inf) -> ForbiddenSets:
         """The sets that come closest to a trajectory.

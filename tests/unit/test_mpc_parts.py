@@ -182,6 +182,23 @@ def test_release_keeps_sets_that_do_not_hold_the_ego() -> None:
     np.testing.assert_array_equal(release(sets, np.zeros((1, 2)), DT).slots, sets.slots)
 
 
+@pytest.mark.parametrize("away", [0.0, 5e5])
+def test_distance_is_that_of_the_nearest_disc(away: float) -> None:
+    """Against loops over everything; also where the map lies far from its origin."""
+    rng = np.random.default_rng(3)
+    n, steps, discs = 4, 6, 3
+    slots = rng.normal(size=(n, steps, 7)) + np.array([away, away, 0.0, 0.0, 0.0, 0.0, 0.0])
+    sets = ForbiddenSets(np.arange(n), slots)
+    points = away + rng.normal(size=(2, steps, discs, 2))
+    found = sets.distance(points)
+    assert found.shape == (2, n, steps)
+    for c, i, t in np.ndindex(found.shape):
+        matrix = slots[i, t, 2:6].reshape(2, 2)
+        z = [matrix @ (points[c, t, d] - slots[i, t, :2]) for d in range(discs)]
+        wanted = min(float((zd**4).sum()) ** 0.25 for zd in z)
+        assert found[c, i, t] == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+
+
 def test_nearest_orders_by_normalised_distance() -> None:
     a = the_set(occupancy_at(30.0, 0.0), 1.0)
     b = the_set(occupancy_at(12.0, 0.0), 1.0)
@@ -318,6 +335,21 @@ def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
     assert missed.velocity[-1] > 2.0
     late = plan_speed(path, windows, 101, DT, 21.2, 2.0, FREE, MpcConfig(), VEHICLE)
     assert late.velocity[-1] == pytest.approx(FREE.cruise)
+
+
+def test_on_the_way_to_a_goal_that_opens_later_the_station_counts() -> None:
+    """Its end is 30 m ahead and may not be passed for 8 s, with room for less than that."""
+    task = goal_task(GoalState(80, 100, box(20.0, -1.0, 30.0, 1.0)))
+    path = ReferencePath(task.route)
+    windows = locate_goals(task, path)
+    weight = MpcConfig().station_weight
+    held = plan_speed(path, windows, 0, DT, 20.0, 8.0, FREE, MpcConfig(), VEHICLE)
+    assert 0.0 < held.velocity[-1] < 5.0
+    assert held.station_weight[0] > 2.0 * weight
+    # It will be in the region with some reserve, not just before the opening.
+    assert (windows[0].end - 20.0) / held.velocity[-1] > 8.2
+    freed = plan_speed(path, windows, 80, DT, 45.0, 8.0, FREE, MpcConfig(), VEHICLE)
+    assert freed.station_weight[0] == weight
 
 
 def test_a_goal_ends_where_the_ego_has_to_stop() -> None:

@@ -47,7 +47,7 @@ class Planner(ABC):
     """Drives the ego.
 
     Attributes:
-        name: Versioned name that goes into results (``mpc-v4``); a changed behaviour is a new
+        name: Versioned name that goes into results (``mpc-v3``); a changed behaviour is a new
             version.
         settings: Dataclass of the options that a user may set; the constructor then takes an
             instance of it as ``settings``. Where None, options are keyword arguments.

@@ -26,8 +26,7 @@ _TURN = 0.3  # rad by which the path may miss that window; the ego turns towards
 _SHORT = _EDGE + _SAMPLING  # m by which a window's end may be short of the region's edge.
 _CRAWL = 1.0  # m/s below which whoever is too early for a goal waits for it.
 _WAITING = 20.0  # Times a station counts for more while waiting: past the region's end is too far.
-_HELD = 4.0  # The same for whoever drives slower so as not to be too early.
-_RESERVE = 0.3  # s that are kept from a goal's opening and from its deadline.
+_LATE = 0.3  # s of reserve before the deadline.
 
 
 @dataclass(frozen=True)
@@ -195,7 +194,7 @@ def cruise_for_goal(
 
     Driving at speed c where the limit allows it, the ego enters the region after the time
     ``t_in(c)`` and leaves it after ``t_out(c)``. Wanted is the c nearest to ``cruise`` with
-    ``t_in(c) <= deadline`` and ``t_out(c) >= opening``, both with some reserve.
+    ``t_in(c) <= deadline`` and ``t_out(c) >= opening``.
 
     Args:
         window: The goal.
@@ -233,8 +232,8 @@ def cruise_for_goal(
         column = min(int(np.searchsorted(grid - grid[0], distance)), len(grid) - 1)
         return np.asarray(elapsed[:, column])
 
-    in_time = time_to(enter) <= max(deadline - _RESERVE, 0.5 * deadline)
-    not_early = time_to(leave) >= opening + min(_RESERVE, max(0.25 * (deadline - opening), 0.0))
+    in_time = time_to(enter) <= max(deadline - _LATE, 0.5 * deadline)
+    not_early = time_to(leave) >= opening
     slowest = float(_SPEEDS[np.argmax(in_time)]) if in_time.any() else float(_SPEEDS[-1])
     early = np.flatnonzero(not_early)
     fastest = float(_SPEEDS[early[-1]]) if len(early) else 0.0
@@ -325,8 +324,7 @@ def plan_speed(
             break
     time = dt * np.arange(horizon + 1)
     rate = _RUN_UP * style.longitudinal
-    held = window is not None and window.first_step > step and target < traffic.cruise
-    waiting = held and target < _CRAWL
+    waiting = window is not None and window.first_step > step and target < _CRAWL
     slower = config.utmost.longitudinal if waiting else rate
     ramp = velocity + np.clip(target - velocity, -slower * time, rate * time)
     s = _stations(position, ramp, dt)
@@ -347,7 +345,6 @@ def plan_speed(
     offset = window.offset * part**2 * (3.0 - 2.0 * part)
     inside = (s >= window.begin - 2.0) & (s <= window.end + 1.0)
     inside &= step + np.arange(horizon + 1) >= window.first_step - 5
-    station_weight = config.station_weight * (_WAITING if waiting else _HELD if held else 1.0)
     heading, asked = path.at(s)[:, HEADING], inside & (window.heading is not None)
     if window.heading is not None:
         low, high = window.heading
@@ -359,7 +356,7 @@ def plan_speed(
         np.where(inside, window.right, -np.inf),
         np.where(inside, window.left, np.inf),
         s,
-        np.full(horizon + 1, station_weight),
+        np.full(horizon + 1, config.station_weight * (_WAITING if waiting else 1.0)),
         heading,
         np.where(asked, config.goal_heading_weight, 0.0),
     )

@@ -61,7 +61,7 @@ class _Memory:
 class MpcPlanner(Planner):
     """Model-predictive control that keeps out of occupancy sets."""
 
-    name: ClassVar[str] = "mpc-v4"
+    name: ClassVar[str] = "mpc-v3"
 
     settings: ClassVar[type[MpcConfig]] = MpcConfig
 

@@ -337,21 +337,6 @@ def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
     assert late.velocity[-1] == pytest.approx(FREE.cruise)
 
 
-def test_on_the_way_to_a_goal_that_opens_later_the_station_counts() -> None:
-    """Its end is 30 m ahead and may not be passed for 8 s, with room for less than that."""
-    task = goal_task(GoalState(80, 100, box(20.0, -1.0, 30.0, 1.0)))
-    path = ReferencePath(task.route)
-    windows = locate_goals(task, path)
-    weight = MpcConfig().station_weight
-    held = plan_speed(path, windows, 0, DT, 20.0, 8.0, FREE, MpcConfig(), VEHICLE)
-    assert 0.0 < held.velocity[-1] < 5.0
-    assert held.station_weight[0] > 2.0 * weight
-    # It will be in the region with some reserve, not just before the opening.
-    assert (windows[0].end - 20.0) / held.velocity[-1] > 8.2
-    freed = plan_speed(path, windows, 80, DT, 45.0, 8.0, FREE, MpcConfig(), VEHICLE)
-    assert freed.station_weight[0] == weight
-
-
 def test_a_goal_ends_where_the_ego_has_to_stop() -> None:
     task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0)))
     (window,) = locate_goals(task, ReferencePath(task.route), farthest=70.0)

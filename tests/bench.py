@@ -32,16 +32,9 @@ import numpy as np
 from dosplan_dos.predictor import DEFAULT_SETS, SETS, DosPredictor, shipped_sets
 from dosplan_mpc.compiled import CompileError
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.nlp import (
-    EMPTY_SLOT,
-    REFERENCE_SIZE,
-    STAGE_HEAD,
-    STATE_SIZE,
-    STATION_SIZE,
-    Guess,
-    MpcProblem,
-)
+from dosplan_mpc.nlp import Guess, MpcProblem
 from dosplan_mpc.shape import STATIONS, station_offsets
+from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, STAGE_HEAD, STATE_SIZE, STATION_SIZE
 from dosplan_net.encoder import MAP, SCENE, shipped_weights
 from dosplan_net.engine import Engine
 from dosplan_net.features import HISTORY, cut_map, describe

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dosplan.types import BoolArray, FloatArray, IntArray, Occupancy
-from dosplan_mpc.nlp import EMPTY_SLOT
+from dosplan_mpc.stage import EMPTY_SLOT
 
 _FAN = np.linspace(0.0, np.pi, 32, endpoint=False)
 _FAN_BOUND = (np.abs(np.cos(_FAN)) ** (4.0 / 3.0) + np.abs(np.sin(_FAN)) ** (4.0 / 3.0)) ** 0.75

@@ -24,19 +24,12 @@ from dosplan.types import (
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.goal import GoalWindow, SpeedProfile, locate_goals, plan_speed
-from dosplan_mpc.nlp import (
-    EMPTY_SLOT,
-    REFERENCE_SIZE,
-    STAGE_HEAD,
-    STATION_SIZE,
-    Guess,
-    Solution,
-    problems,
-)
+from dosplan_mpc.nlp import Guess, Solution, problems
 from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, stretch_back
 from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, RIGHT, ReferencePath, X, Y
 from dosplan_mpc.sampler import Candidates, Sampler
 from dosplan_mpc.shape import STATIONS, disc_offsets, station_offsets
+from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, STAGE_HEAD, STATION_SIZE
 from dosplan_mpc.traffic import Traffic, look_around
 
 _SLACK_SEEN = 0.02  # A slack above this makes the planner look at alternatives.

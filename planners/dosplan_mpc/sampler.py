@@ -16,10 +16,11 @@ from dosplan.types import EGO_SIZE, FloatArray
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.goal import SpeedProfile
-from dosplan_mpc.nlp import STATE_SIZE, Guess
+from dosplan_mpc.nlp import Guess
 from dosplan_mpc.obstacles import ForbiddenSets
 from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, RIGHT, ReferencePath
 from dosplan_mpc.shape import disc_offsets, station_offsets
+from dosplan_mpc.stage import STATE_SIZE
 
 _ACCELERATIONS = np.array([-8.0, -5.0, -3.0, -1.5, -0.7, 0.0, 0.7, 1.5, 2.5, 4.0])
 _MANOEUVRE_SECONDS = np.array([1.5, 3.0])

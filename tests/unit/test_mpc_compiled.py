@@ -17,15 +17,9 @@ import pytest
 from dosplan_mpc import compiled, nlp
 from dosplan_mpc.compiled import CompileError, is_whole
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.nlp import (
-    REFERENCE_SIZE,
-    STAGE_HEAD,
-    STATION_SIZE,
-    Guess,
-    MpcProblem,
-    Solution,
-)
+from dosplan_mpc.nlp import Guess, MpcProblem, Solution
 from dosplan_mpc.shape import station_offsets
+from dosplan_mpc.stage import REFERENCE_SIZE, STAGE_HEAD, STATION_SIZE
 
 from dosplan.cli import main
 from dosplan.scenario.folders import cache_folder

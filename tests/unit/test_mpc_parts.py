@@ -16,17 +16,7 @@ from dosplan_mpc.goal import (
     locate_goals,
     plan_speed,
 )
-from dosplan_mpc.nlp import (
-    EMPTY_SLOT,
-    REFERENCE_SIZE,
-    SLOT_SIZE,
-    STAGE_HEAD,
-    STATION_SIZE,
-    Guess,
-    MpcProblem,
-    Solution,
-    problem,
-)
+from dosplan_mpc.nlp import Guess, MpcProblem, Solution, problem
 from dosplan_mpc.obstacles import (
     ForbiddenSets,
     forbidden_sets,
@@ -37,6 +27,7 @@ from dosplan_mpc.obstacles import (
 from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, ReferencePath
 from dosplan_mpc.sampler import Sampler
 from dosplan_mpc.shape import disc_offsets, station_offsets
+from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, SLOT_SIZE, STAGE_HEAD, STATION_SIZE
 from dosplan_mpc.traffic import Traffic, look_around
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -134,12 +134,12 @@ class SolveStatus(Enum):
     ACCEPTED = (
         "accepted",
         "The solver stopped early, but the residuals of its iterate are small enough to drive. "
-        "Raise max_iter if this is frequent.",
+        "Give it more iterations if this is frequent.",
     )
     MAX_ITERATIONS = (
         "max_iterations",
         "The solver ran out of iterations with large residuals; the fallback was driven. "
-        "Raise max_iter or look at the initial guess.",
+        "Give it more iterations, or look at the initial guess.",
     )
     SOLVER_ERROR = (
         "solver_error",

@@ -30,9 +30,9 @@ from unittest.mock import patch
 
 import numpy as np
 from dosplan_dos.predictor import DEFAULT_SETS, SETS, DosPredictor, shipped_sets
-from dosplan_mpc.compiled import CompileError
+from dosplan_mpc.compiled import CompileError, is_whole
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.nlp import Guess, MpcProblem
+from dosplan_mpc.nlp import Guess, MpcProblem, problems
 from dosplan_mpc.shape import STATIONS, station_offsets
 from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, STAGE_HEAD, STATE_SIZE, STATION_SIZE
 from dosplan_net.encoder import MAP, SCENE, shipped_weights
@@ -84,7 +84,8 @@ def main() -> None:
     """Measures, prints and writes."""
     options = _options()
     planner, idm = create_planner(options.planner, 0), create_planner("idm", 0)
-    predictor = create_predictor(options.predictor, 0)
+    chosen = {} if options.engine is Engine.TORCH else {"engine": options.engine.value}
+    predictor = create_predictor(options.predictor, 0, chosen)
     drives = {
         "with_dos": (planner, Arm.WITH_DOS),
         "without_dos": (planner, Arm.WITHOUT_DOS),
@@ -108,6 +109,8 @@ def main() -> None:
         "planner": planner.name,
         "predictor": predictor.name,
         "scenarios": [ref.id for ref in refs],
+        "engine": options.engine.value,
+        "libraries": has_libraries(),
         "times_ms": {k: {part: spread(v[part]) for part in PARTS} for k, v in pooled.items()},
         "ratios": find_ratios(scenarios),
         "road_users": measure_road_users(planner, predictor),
@@ -121,6 +124,14 @@ def main() -> None:
     show(figures)
     if options.json is not None:
         write_json(options.json, figures)
+
+
+def has_libraries() -> bool:
+    """Whether the cache holds the compiled problems of `mpc`, which are taken then."""
+    return all(
+        is_whole(problem.formulation.library())
+        for problem in problems(MpcConfig(), VEHICLE, STEP_SECONDS)
+    )
 
 
 def drive(scenario: Scenario, planner: Planner, predictor: Predictor, arm: Arm) -> Times:
@@ -350,10 +361,12 @@ def show(figures: dict[str, Any]) -> None:
         if compiled
         else "compiled problems are not measured: there is no C compiler"
     )
+    solved = "compiled" if figures["libraries"] else "in the virtual machine"
     under = " ".join(f"{p:>5}" for p in percentiles)
     times = [[part, *(triple(figures["times_ms"][d][part]) for d in drives)] for part in PARTS]
     for built in (
-        f"{figures['planner']} with {figures['predictor']}, {len(figures['scenarios'])} scenarios",
+        f"{figures['planner']} with {figures['predictor']}, {len(figures['scenarios'])} scenarios, "
+        f"networks by {figures['engine']}, problems of mpc {solved}",
         table(["ms", *(f"{name}\n{under}" for name in drives)], times),
         table(["ratio within a scenario", "median", "lowest", "highest"], rows(figures["ratios"])),
         table(["road\nusers", *columns], rows(figures["road_users"])),
@@ -377,6 +390,13 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--scenarios", type=int, default=4, metavar="N", help="of the suite")
     parser.add_argument("--planner", default="mpc", help="as for `dosplan run`")
     parser.add_argument("--predictor", default="growing-circle", help="as for `dosplan run`")
+    parser.add_argument(
+        "--engine",
+        type=Engine,
+        choices=[*Engine],
+        default=Engine.TORCH,
+        help="of the trained networks; onnx wants `dosplan export` first",
+    )
     parser.add_argument("--json", type=Path, metavar="PATH", help="write the same figures there")
     options = parser.parse_args()
     if options.scenarios < 1:

@@ -27,6 +27,8 @@ def test_writes_figures_that_fit_together(tmp_path: Path) -> None:
     figures = read_json(out)
 
     assert done.stdout.startswith(f"{figures['planner']} with {figures['predictor']}, ")
+    solved = "compiled" if figures["libraries"] else "in the virtual machine"
+    assert f"networks by torch, problems of mpc {solved}\n" in done.stdout
     for times in figures["times_ms"].values():
         for part in times.values():
             assert 0.0 <= part["p50"] <= part["p95"] <= part["p99"]

@@ -365,7 +365,7 @@ def show(figures: dict[str, Any]) -> None:
     under = " ".join(f"{p:>5}" for p in percentiles)
     times = [[part, *(triple(figures["times_ms"][d][part]) for d in drives)] for part in PARTS]
     for built in (
-        f"{figures['planner']} with {figures['predictor']}, {len(figures['scenarios'])} scenarios, "
+        f"{figures['planner']} with {figures['predictor']}, {len(figures['scenarios'])} scenarios",
         f"networks by {figures['engine']}, problems of mpc {solved}",
         table(["ms", *(f"{name}\n{under}" for name in drives)], times),
         table(["ratio within a scenario", "median", "lowest", "highest"], rows(figures["ratios"])),

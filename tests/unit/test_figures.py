@@ -33,6 +33,7 @@ from dosplan.report.figures import (
     upper_limits,
 )
 from dosplan.report.figures.sources import Z95, Published, default_results
+from dosplan.report.figures.style import save
 from dosplan.results import read_rows, write_rows
 from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.scoring import failed_score
@@ -426,3 +427,14 @@ def test_the_manifest_of_figures_names_a_module_for_each() -> None:
     others = {"__init__", "sources", "style", "write"}
     modules = {path.stem for path in folder.glob("*.py")} - others
     assert modules == {name.replace("-", "_") for name in FIGURES}
+
+
+def test_the_last_digits_of_a_layout_do_not_reach_the_file(tmp_path: Path) -> None:
+    """The solver behind the layout rounds differently from one drawing to the next."""
+    written = []
+    for name, shift in (("one", 0.0), ("two", 3e-11)):
+        figure = Figure(figsize=(2.0, 1.0))
+        figure.add_axes((0.1 + shift, 0.2, 0.4123456789, 0.5)).plot([0.0, 1.0])
+        figure.add_axes((0.6, 0.2 + shift, 0.3, 0.5)).plot([0.0, 1.0])
+        written.append([path.read_bytes() for path in save(figure, tmp_path, name)])
+    assert written[0] == written[1]

@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.container import ErrorbarContainer
@@ -141,6 +142,10 @@ def save(figure: Figure, out: Path, name: str) -> tuple[Path, Path]:
         FileError: A file cannot be written.
     """
     png, pdf = out / f"{name}.png", out / f"{name}.pdf"
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+    for axes in figure.axes:  # The layout's last digits differ from one drawing to the next.
+        axes.set_position(np.round(axes.get_position(original=True).bounds, 6).tolist())
     with atomic_file(png) as file:
         figure.savefig(file, format="png", metadata={"Software": None})
     with atomic_file(pdf) as file:

@@ -342,6 +342,20 @@ def test_a_label_that_is_no_text_is_a_file_error(
     assert f"the label {label!r} is no text" in line
 
 
+def test_sets_of_different_horizons_are_a_file_error(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = read_json(results / "prediction" / "bench.json")
+    del content["sets"][-1]
+    path = tmp_path / "prediction" / "bench.json"
+    write_json(path, content)
+    out = str(tmp_path / "out")
+    assert main(["figures", "trade-off", "--results", str(tmp_path), "--out", out]) == FAILED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{path} is not what `dosplan evaluate` of this version writes" in line
+    assert "horizons" in line
+
+
 def test_a_label_that_names_no_number_is_of_no_curve(results: Path, tmp_path: Path) -> None:
     content = read_json(results / "prediction" / "bench.json")
     before = trade_off.curves(Published(results).evaluation("prediction"))

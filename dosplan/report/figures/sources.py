@@ -95,21 +95,24 @@ class Published:
         path = self.path / part / "bench.json"
         content = _read(path, f"dosplan evaluate ... --json {path}")
         try:
+            sets = {
+                key: Sets(
+                    horizon=_column(rows, "horizon_s"),
+                    coverage=100.0 * _column(rows, "cr"),
+                    half=100.0 * Z95 * _column(rows, "cr_se"),
+                    area=_column(rows, "osa"),
+                )
+                for key, rows in _by(content["sets"], "method", "group").items()
+            }
+            if len({tuple(found.horizon) for found in sets.values()}) > 1:
+                raise ValueError("its sets are not all of the same horizons")
             return Evaluation(
                 path=path,
                 options={
                     _text(method["label"]): dict(method["options"])
                     for method in content["data"]["methods"]
                 },
-                sets={
-                    key: Sets(
-                        horizon=_column(rows, "horizon_s"),
-                        coverage=100.0 * _column(rows, "cr"),
-                        half=100.0 * Z95 * _column(rows, "cr_se"),
-                        area=_column(rows, "osa"),
-                    )
-                    for key, rows in _by(content["sets"], "method", "group").items()
-                },
+                sets=sets,
                 limits={
                     key: _column(rows, "area")
                     for key, rows in _by(

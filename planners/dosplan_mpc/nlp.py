@@ -1,5 +1,7 @@
 """The optimal control problem: built once per process, solved once or twice a cycle.
 
+What a stage costs and where its limits are stands in ``stage``.
+
 Warm start: states and inputs of the last solution, shifted along time. CasADi's interface to
 fatrop takes no multipliers (they were measured to change nothing), so a small initial barrier
 keeps the iterate near a good guess.

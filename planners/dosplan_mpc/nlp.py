@@ -2,9 +2,9 @@
 
 What a stage costs and where its limits are stands in ``stage``.
 
-Warm start: states and inputs of the last solution, shifted along time. CasADi's interface to
-fatrop takes no multipliers (they were measured to change nothing), so a small initial barrier
-keeps the iterate near a good guess.
+A guess is the last solution, shifted along time, or a sample; slacks of sets are made anew from it.
+CasADi's interface to fatrop takes no multipliers (they were measured to change nothing), so a small
+initial barrier keeps the iterate near a good guess.
 """
 
 from __future__ import annotations

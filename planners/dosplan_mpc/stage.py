@@ -8,10 +8,10 @@ Cost at stages 1 .. N (weights of ``MpcConfig``; the last stage counts double): 
 reference path, heading error, velocity error, steering other than the path's curvature asks for,
 and on the way to a goal the error of the station and of the goal's heading;
 at stages 0 .. N-1: steering rate, acceleration, jerk. The reference of a stage is a frozen
-parabola ``(x, y, psi, kappa)`` of the path at the warm start's arc length: cheaper than a
+parabola ``(x, y, psi, kappa)`` of the path at the guess's arc length: cheaper than a
 curvilinear model and it distorts no set.
 
-Constraints at stages 1 .. N, with slacks that are inputs of the stage:
+Limits at stages 1 .. N, with slacks that are inputs of the stage:
 
 * Sets: for slot j and covering disc i, ``(z1^4 + z2^4 + eps)^(1/4) >= 1 - s_j`` with
   ``z = M_j (p_i - c_j)``: the disc's centre stays out of a superellipse (see ``obstacles``).
@@ -19,13 +19,15 @@ Constraints at stages 1 .. N, with slacks that are inputs of the stage:
   loosen the others. Penalty: that of the set times ``s_j`` (exact) plus a small square.
 * Road: at five stations from the rear to the front bumper, both sides of the ego stay between the
   corridor's edges: ``left - (e + w) >= -r`` and ``(e - w) - right >= -r``, slack r.
-* Friction circle ``a^2 + (v psi')^2 <= (grip a_max)^2`` and engine power ``a v <= a_max v_s`` are
-  hard, and so are the bounds of steering, steering rate and velocity.
+
+Hard limits: the friction circle ``a^2 + (v psi')^2 <= (grip a_max)^2`` and engine power
+``a v <= a_max v_s`` at stages 0 .. N-1, and the bounds of steering and velocity, of steering rate
+and acceleration, which the problem sets.
 
 Not modelled: tyre slip, actuator delay, reversing.
 
-Both are CasADi functions, which are put into the problem once per stage: that is much quicker
-than to write every stage out in Python.
+``input_stage`` and ``state_stage`` are CasADi functions, which are put into the problem stage by
+stage: that is much quicker than to write every stage out in Python.
 """
 
 from __future__ import annotations

@@ -21,18 +21,16 @@ from commonroad_dc.feasibility.vehicle_dynamics import VehicleDynamics
 from dosplan.types import STEP_SECONDS
 
 
-def infeasible(solution: Path) -> list[int]:
-    """Ids of the planning problems whose trajectory is not feasible."""
-    found = CommonRoadSolutionReader.open(str(solution)).planning_problem_solutions
-    return [
-        part.planning_problem_id
-        for part in found
-        if not trajectory_feasibility(
+def feasible(solution: Path) -> bool:
+    """Whether the trajectory of every planning problem of a solution is feasible."""
+    return all(
+        trajectory_feasibility(
             part.trajectory,
             VehicleDynamics.from_model(part.vehicle_model, part.vehicle_type),
             STEP_SECONDS,
         )[0]
-    ]
+        for part in CommonRoadSolutionReader.open(str(solution)).planning_problem_solutions
+    )
 
 
 def main() -> None:
@@ -40,7 +38,7 @@ def main() -> None:
     warnings.simplefilter("ignore")  # commonroad-io's protobuf
     for run in map(Path, sys.argv[1:]):
         solutions = sorted(run.glob("solutions/*.xml"))
-        failed = [file for file in solutions if infeasible(file)]
+        failed = [file for file in solutions if not feasible(file)]
         for file in failed:
             print(f"not feasible: {file.stem}")
         print(f"{run.name}: {len(solutions) - len(failed)} of {len(solutions)} drives are feasible")

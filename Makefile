@@ -22,20 +22,20 @@ test-all: $(VENV)/.dev
 
 suite-check: $(VENV)/.dev
 	$(PIP) --editable ".[suite]"
-	$(BIN)/python -m pytest tests/unit/test_suite_files.py tests/oracle/test_suite_*.py
+	$(BIN)/python -m pytest tests/scenario/test_suite_files.py tests/oracle/test_suite_*.py
 
 bench: $(VENV)/.dev
 	$(PIP) --editable ".[onnx]"
-	$(BIN)/python -m tests.bench $(BENCH_ARGS)
+	$(BIN)/python -m benchmarks.bench $(BENCH_ARGS)
 
 # Other people's planners; the reactive planner needs Python 3.11.
 peers: $(VENV)/.dev
 	$(PIP) --editable ".[peers]"
-	$(BIN)/python -m tests.peers_table --workers $(WORKERS) $(PEERS_ARGS)
+	$(BIN)/python -m benchmarks.peers_table --workers $(WORKERS) $(PEERS_ARGS)
 
 bench-peers: $(VENV)/.dev
 	$(PIP) --editable ".[peers]"
-	$(BIN)/python -m tests.bench_peers $(PEERS_ARGS)
+	$(BIN)/python -m benchmarks.peers_cycle $(PEERS_ARGS)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from dosplan.library import compare, open_run, run_episode, run_suite
+    from dosplan._public import compare, open_run, run_episode, run_suite
     from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
     from dosplan.types import Arm
 
@@ -39,7 +39,7 @@ _MODULES: Final = {
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULES.get(name, "dosplan.library")), name)
+    return getattr(import_module(_MODULES.get(name, "dosplan._public")), name)
 
 
 def __dir__() -> list[str]:

@@ -16,17 +16,18 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
+from dosplan.system.errors import DosplanError
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap, Tracks
 from dosplan.vehicle import VehicleParameters
 
 START_TOLERANCE = 1e-6  # How far a plan's first state may be off the present one, m and rad.
 
 
-class PluginError(RuntimeError):
+class PluginError(DosplanError, RuntimeError):
     """A plug-in broke its contract; the message names it."""
 
 
-class NoPlanError(RuntimeError):
+class NoPlanError(DosplanError, RuntimeError):
     """A planner found no plan and has none to fall back to: it declares its failure.
 
     The episode ends there as a planner failure.

@@ -12,8 +12,8 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from dosplan.results import read_rows
-from dosplan.runner import RunConfig, run
+from dosplan.results.folder import read_rows
+from dosplan.running.run import RunConfig, run
 from dosplan.types import Arm, Outcome
 
 HERE = Path(__file__).resolve().parent

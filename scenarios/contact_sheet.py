@@ -9,7 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from dosplan.report.scene import draw_scene, legend_handles
+from dosplan.report.film.scene import draw_scene, legend_handles
 from dosplan.scenario import load_scenario
 
 HERE = Path(__file__).resolve().parent

@@ -20,12 +20,19 @@ import numpy as np
 from dosplan.convert.lanelet2 import FIRST_ID, Lanelet2Map, read_lanelet2
 from dosplan.convert.sind import Record, find_map, read_record
 from dosplan.convert.windows import EARLY, EGO_LABEL, Moment, moments, pieces, present
-from dosplan.files import write_bytes
 from dosplan.scenario import ScenarioError, ScenarioRef, parse_scenario
-from dosplan.scenario.drafts import Goal, Header, LaneletMap, Light, ProblemDraft, UserDraft
-from dosplan.scenario.writer import compress, scenario_xml
-from dosplan.scoring import score
-from dosplan.simulation import known_drive
+from dosplan.scenario.commonroad.drafts import (
+    Goal,
+    Header,
+    LaneletMap,
+    Light,
+    ProblemDraft,
+    UserDraft,
+)
+from dosplan.scenario.commonroad.writer import compress, scenario_xml
+from dosplan.scoring.score import score
+from dosplan.simulation.loop import known_drive
+from dosplan.system.files import write_bytes
 from dosplan.types import STEP_SECONDS, Arm, Outcome
 from dosplan.vehicle import VehicleParameters
 

@@ -20,8 +20,8 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from dosplan.scenario.document import ScenarioError, parse_xml, read_file
-from dosplan.scenario.drafts import LaneletDraft
+from dosplan.scenario.commonroad.document import ScenarioError, parse_xml, read_file
+from dosplan.scenario.commonroad.drafts import LaneletDraft
 from dosplan.types import FloatArray
 
 FIRST_ID: Final = 101

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from dosplan.scenario.document import ScenarioError
+from dosplan.scenario.commonroad.document import ScenarioError
 from dosplan.types import STEP_SECONDS, FloatArray, IntArray
 
 VEHICLES: Final = "Veh_smoothed_tracks.csv"

@@ -24,16 +24,16 @@ from dosplan.evaluation.metrics import COVERAGE
 from dosplan.evaluation.samples import FileSamples, PredictionError, sample_file
 from dosplan.evaluation.summary import scales, summarise
 from dosplan.evaluation.windows import HORIZONS
-from dosplan.provenance import describe_environment
-from dosplan.registry import one_line
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_recording
+from dosplan.system.errors import DosplanError, one_line
+from dosplan.system.provenance import describe_environment
+from dosplan.system.workers import cause_of_death, seed_globals, worker_pool
 from dosplan.types import HISTORY_STEPS
-from dosplan.workers import cause_of_death, seed_globals, worker_pool
 
 Progress = Callable[[int, int], None]
 
 
-class EvaluationError(ValueError):
+class EvaluationError(DosplanError, ValueError):
     """An evaluation that cannot start or has nothing to show; the message is one line."""
 
 

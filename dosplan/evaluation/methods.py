@@ -14,19 +14,19 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 
 from dosplan.api import Predictor
 from dosplan.evaluation.windows import STEPS
-from dosplan.registry import RegistryError, create_predictor
-from dosplan.yaml_text import YamlError, parse_yaml
+from dosplan.plugins.registry import RegistryError, create_predictor
+from dosplan.system.errors import DosplanError, did_you_mean
+from dosplan.system.yaml_text import YamlError, parse_yaml
 
 _KEYS: Final = ("label", "predictor", "options")
 
 
-class MethodError(ValueError):
+class MethodError(DosplanError, ValueError):
     """A method that cannot be evaluated as it is written down; the message is one line."""
 
 
@@ -36,7 +36,7 @@ class Method:
 
     Attributes:
         label: That name.
-        predictor: The predictor, as ``dosplan.registry`` finds it.
+        predictor: The predictor, as ``dosplan.plugins.registry`` finds it.
         options: Keyword arguments of its constructor: numbers, texts, lists and mappings.
     """
 
@@ -146,10 +146,9 @@ def _predictor(
     keys = tuple(keys)
     for key in entry:
         if key not in keys:
-            close = get_close_matches(str(key), keys, n=1)
-            hint = f"; did you mean {close[0]!r}?" if close else ""
             raise MethodError(
-                f"{where} has the unknown key {key!r}{hint} (keys: {', '.join(keys)})"
+                f"{where} has the unknown key {key!r}{did_you_mean(str(key), keys)} "
+                f"(keys: {', '.join(keys)})"
             )
     spec, options = entry.get("predictor"), entry.get("options")
     if not isinstance(spec, str) or not spec:

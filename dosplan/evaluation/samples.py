@@ -20,7 +20,7 @@ from dosplan.evaluation.groups import KINDS, MOVING, family_of
 from dosplan.evaluation.limits import REPRESENTATIONS, upper_limits
 from dosplan.evaluation.metrics import displacement, ellipse_area, mahalanobis
 from dosplan.evaluation.windows import HORIZON_COLUMNS, STEPS, Moment, moments
-from dosplan.registry import failure_place, one_line
+from dosplan.system.errors import DosplanError, failure_place, one_line
 from dosplan.types import (
     USER_HEADING,
     USER_VELOCITY,
@@ -37,7 +37,7 @@ from dosplan.types import (
 Float32Array = npt.NDArray[np.float32]
 
 
-class PredictionError(RuntimeError):
+class PredictionError(DosplanError, RuntimeError):
     """A method failed on a recording; one line that names the method and the place."""
 
 

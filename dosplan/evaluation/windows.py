@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from dosplan.evaluation.groups import KINDS
-from dosplan.simulation import observe
+from dosplan.simulation.loop import observe
 from dosplan.types import (
     HISTORY_STEPS,
     STEP_SECONDS,

@@ -9,13 +9,13 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.collision import Contact
 from dosplan.evaluation.metrics import displacement, mahalanobis
 from dosplan.explain.drive import Drive
-from dosplan.fault import STOPPED_VELOCITY
-from dosplan.files import FileError
 from dosplan.geometry import to_body, wrap_angle
-from dosplan.recording import NEARBY_METRES
+from dosplan.results.recording import NEARBY_METRES
+from dosplan.scoring.collision import Contact
+from dosplan.scoring.fault import STOPPED_VELOCITY
+from dosplan.system.files import FileError
 from dosplan.types import (
     USER_HEADING,
     USER_VELOCITY,

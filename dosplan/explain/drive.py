@@ -7,9 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from dosplan.collision import Contact, first_contacts
-from dosplan.files import FileError
-from dosplan.recording import Recording
+from dosplan.results.recording import Recording
+from dosplan.scoring.collision import Contact, first_contacts
+from dosplan.system.files import FileError
 from dosplan.types import EGO_VELOCITY, FloatArray, Outcome, Scenario, Score
 from dosplan.vehicle import VehicleParameters
 

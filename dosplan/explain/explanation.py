@@ -12,9 +12,9 @@ from dosplan.explain.goal import GoalFacts, goal_facts
 from dosplan.explain.margins import Margins, margins
 from dosplan.explain.planning import PlanningFacts, planning_facts
 from dosplan.explain.road import RoadFacts, road_facts
-from dosplan.recorded import find_recorded
-from dosplan.recording import Recording
-from dosplan.results import RunFolder
+from dosplan.results.folder import RunFolder
+from dosplan.results.lookup import find_recorded
+from dosplan.results.recording import Recording
 from dosplan.types import Arm, Outcome, Scenario, Score
 from dosplan.vehicle import VehicleParameters
 

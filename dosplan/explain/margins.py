@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from dosplan.collision import shape_at
 from dosplan.explain.drive import Drive
 from dosplan.geometry import rectangle_corners
+from dosplan.scoring.collision import shape_at
 from dosplan.types import RoadUserKind
 
 

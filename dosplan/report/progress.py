@@ -17,8 +17,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from dosplan.observer import Observer
 from dosplan.report.tables import ARM_TITLES, table
+from dosplan.running.progress import Observer
 from dosplan.types import Arm, Outcome, Score
 
 Clock = Callable[[], float]

@@ -9,7 +9,7 @@ from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from dosplan.comparison import Comparison, Difference
+from dosplan.results.comparison import Comparison, Difference
 from dosplan.types import Arm, Score
 
 ERRORS_SHOWN: Final = 10

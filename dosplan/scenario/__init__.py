@@ -5,8 +5,8 @@ from __future__ import annotations
 import warnings
 from pathlib import Path
 
-from dosplan.scenario.catalogue import ScenarioRef, find_scenarios
-from dosplan.scenario.document import ScenarioError, read_file
+from dosplan.scenario.commonroad.document import ScenarioError, read_file
+from dosplan.scenario.sources.catalogue import ScenarioRef, find_scenarios
 from dosplan.types import Scenario
 
 __all__ = [
@@ -84,6 +84,6 @@ def parse_scenario(ref: ScenarioRef, content: bytes, *, onlooker: bool = False) 
     # Importing it warns of the protobuf bindings it was generated with, which nobody can help.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        from dosplan.scenario.reader import read_scenario
+        from dosplan.scenario.commonroad.reader import read_scenario
 
     return read_scenario(ref, content, onlooker=onlooker)

@@ -30,9 +30,9 @@ from typing import Any, Final
 import numpy as np
 import shapely
 
-from dosplan.files import FileError, write_bytes
-from dosplan.scenario.catalogue import ScenarioRef
-from dosplan.scenario.folders import cache_folder
+from dosplan.scenario.sources.catalogue import ScenarioRef
+from dosplan.system.files import FileError, write_bytes
+from dosplan.system.folders import cache_folder
 from dosplan.types import (
     FloatArray,
     GoalState,
@@ -243,9 +243,9 @@ def _entry(ref: ScenarioRef, content: bytes) -> Path:
 def _code_digest() -> str:
     """Fingerprints the code that makes a ``Scenario`` of a file."""
     package = Path(__file__).resolve().parents[1]
-    modules = [package / f"{name}.py" for name in ("geometry", "vehicle")]
-    for name in ("types", "scenario"):
-        modules += sorted(package.glob(f"{name}/*.py"))
+    modules = [package / "vehicle.py"]
+    for name in ("types", "geometry", "scenario"):
+        modules += sorted(package.glob(f"{name}/**/*.py"))
     total = sha256(f"format {_FORMAT}\n".encode())
     for path in modules:
         total.update(path.name.encode() + sha256(path.read_bytes()).digest())

@@ -8,6 +8,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from dosplan.system.errors import DosplanError
+
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
@@ -26,7 +28,7 @@ USER_VELOCITY: Final = 3
 USER_SIZE: Final = 4
 
 
-class ShapeError(ValueError):
+class ShapeError(DosplanError, ValueError):
     """An array that does not have the shape or the finiteness its field promises."""
 
 

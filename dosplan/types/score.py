@@ -62,7 +62,7 @@ class Score:
         iterations_p50: Median of the solver's iterations in a cycle.
         iterations_max: The most of them in a cycle.
         max_slack: Largest slack of a set constraint, in normalised set distance.
-        slack_cycles: Cycles whose plan enters a set (``dosplan.telemetry.SLACK_SEEN``).
+        slack_cycles: Cycles whose plan enters a set (``dosplan.scoring.solver.SLACK_SEEN``).
         max_road_slack: How far a plan leaves the road at most, m.
         solver_failures: Cycles in which the solver gave no plan.
     """

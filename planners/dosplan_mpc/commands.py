@@ -6,7 +6,7 @@ import argparse
 import time
 from typing import Final
 
-from dosplan.commands import OK, CommandError
+from dosplan.cli.command import OK, CommandError
 
 
 class CompileCommand:

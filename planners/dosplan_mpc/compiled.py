@@ -28,8 +28,9 @@ from typing import Any, Final
 
 import casadi as ca
 
-from dosplan.files import write_bytes, write_text
-from dosplan.scenario.folders import cache_folder
+from dosplan.system.errors import DosplanError
+from dosplan.system.files import write_bytes, write_text
+from dosplan.system.folders import cache_folder
 
 _NAME: Final = "mpc"
 _SOLVER: Final = "fatrop"
@@ -38,7 +39,7 @@ _COMPILERS: Final = ("cc", "gcc", "clang")
 _FLAGS: Final = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
 
 
-class CompileError(RuntimeError):
+class CompileError(DosplanError, RuntimeError):
     """A problem that cannot be compiled here; one line."""
 
 

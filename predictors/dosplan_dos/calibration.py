@@ -35,7 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dosplan.evaluation.groups import SPEED_EDGES as BIN_EDGES
-from dosplan.registry import one_line
+from dosplan.system.errors import one_line
 from dosplan.types import FloatArray, IntArray, RoadUserKind, ShapeError
 
 Kinds = Sequence[RoadUserKind]

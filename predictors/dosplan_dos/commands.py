@@ -8,8 +8,8 @@ from pathlib import Path
 from textwrap import shorten
 from typing import Any, Final
 
-from dosplan.commands import CommandError
-from dosplan.commands.common import SOURCE_HELP
+from dosplan.cli.arguments import SOURCE_HELP
+from dosplan.cli.command import CommandError
 
 SET_EVERY: Final = 2
 
@@ -255,7 +255,7 @@ def _read(path: Path, kind: Any) -> Any:
     """A configuration file as a dataclass."""
     import dacite
 
-    from dosplan.yaml_text import parse_yaml
+    from dosplan.system.yaml_text import parse_yaml
     from dosplan_dos.shapes import Variant
 
     try:

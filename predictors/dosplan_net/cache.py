@@ -21,10 +21,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dosplan.evaluation.groups import SIMULATED
-from dosplan.files import write_json
 from dosplan.geometry import to_body, wrap_angle
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_recording
-from dosplan.simulation import observe
+from dosplan.simulation.loop import observe
+from dosplan.system.errors import DosplanError
+from dosplan.system.files import write_json
 from dosplan.types import Scenario
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 
@@ -33,7 +34,7 @@ EMPTY: Final = ""  # What extraction answers where nobody's future is recorded.
 MIN_FUTURE: Final = 5  # Steps of recorded future without which a scene teaches nothing.
 
 
-class CacheError(ValueError):
+class CacheError(DosplanError, ValueError):
     """A cache that cannot be built or read; the message is one line."""
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from dosplan import __version__
-from dosplan.registry import one_line
+from dosplan.system.errors import DosplanError, one_line
 from dosplan_net.features import Float32Array
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _EXTERNAL: Final = b"location"
 
 
-class EngineError(ValueError):
+class EngineError(DosplanError, ValueError):
     """An engine that cannot run a model; the message is one line."""
 
 

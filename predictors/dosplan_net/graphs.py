@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from dosplan.files import write_bytes
+from dosplan.system.files import write_bytes
 from dosplan_net.engine import EngineError, Model, origin
 from dosplan_net.features import (
     HISTORY,

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from dosplan.files import atomic_file
+from dosplan.system.files import atomic_file
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from dosplan.files import atomic_file
+from dosplan.system.files import atomic_file
 from dosplan_net.batches import RawBatch, Selection, forgetful, in_order, mirrored, read_scenes
 from dosplan_net.cache import WindowCache
 from dosplan_net.features import HORIZON

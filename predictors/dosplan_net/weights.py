@@ -11,12 +11,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from dosplan.files import write_bytes
+from dosplan.system.errors import DosplanError
+from dosplan.system.files import write_bytes
 
 ModelT = TypeVar("ModelT", bound=nn.Module)
 
 
-class WeightsError(ValueError):
+class WeightsError(DosplanError, ValueError):
     """A weight file that cannot be used; the message is one line."""
 
 

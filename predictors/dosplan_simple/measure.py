@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from dosplan.api import OraclePredictor, Predictor
-from dosplan.registry import find_predictor
-from dosplan.simulation import observe
+from dosplan.plugins.registry import find_predictor
+from dosplan.simulation.loop import observe
 from dosplan.types import HISTORY_STEPS, Observation, Scenario
 from dosplan_simple.predictors import (
     GroundTruthPredictor,

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from dosplan.bounds import HAIRLINE
 from dosplan.geometry import rectangle_corners
 from dosplan.scenario import load_scenario
+from dosplan.scoring.bounds import HAIRLINE
 from dosplan.types import Scenario
 from dosplan.vehicle import VehicleParameters
 

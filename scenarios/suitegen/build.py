@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dosplan.scenario.drafts import Goal
-from dosplan.scenario.writer import compress
+from dosplan.scenario.commonroad.drafts import Goal
+from dosplan.scenario.commonroad.writer import compress
 from dosplan.types import FloatArray
 
 from .commonroad_xml import moment_xml

@@ -7,8 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from dosplan.scenario.drafts import Goal, Header, LaneletMap, Light, ProblemDraft, UserDraft
-from dosplan.scenario.writer import scenario_xml
+from dosplan.scenario.commonroad.drafts import (
+    Goal,
+    Header,
+    LaneletMap,
+    Light,
+    ProblemDraft,
+    UserDraft,
+)
+from dosplan.scenario.commonroad.writer import scenario_xml
 from dosplan.types import FloatArray
 
 from .motion import Motion

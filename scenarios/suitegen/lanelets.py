@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 import sumolib
 
-from dosplan.scenario.drafts import Incoming, Intersection, LaneletDraft, LaneletMap, Light
+from dosplan.scenario.commonroad.drafts import (
+    Incoming,
+    Intersection,
+    LaneletDraft,
+    LaneletMap,
+    Light,
+)
 from dosplan.types import FloatArray
 
 from .tapers import taper

@@ -11,10 +11,10 @@ from dosplan_baseline.idm import IdmPlanner
 from dosplan_simple.predictors import ConstantVelocityPredictor, NonePredictor
 
 from dosplan.api import Planner, Predictor
-from dosplan.bounds import outside
 from dosplan.scenario import load_scenario
-from dosplan.scoring import score
-from dosplan.simulation import known_drive, run_episode
+from dosplan.scoring.bounds import outside
+from dosplan.scoring.score import score
+from dosplan.simulation.loop import known_drive, run_episode
 from dosplan.types import Arm, Episode, FloatArray, Outcome, Scenario, Score
 from dosplan.vehicle import VehicleParameters
 

@@ -12,14 +12,15 @@ from typing import Any
 
 import pytest
 
-from dosplan import cli
-from dosplan.cli import main
-from tests.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+from dosplan.cli import main as cli
+from dosplan.cli.main import main
+from tests.support import faulty
+from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 playwright.expect.set_options(timeout=120_000)  # A busy machine is slow to draw.
 
-FAULTY = Path(__file__).parents[1] / "unit" / "faulty.py"
+FAULTY = Path(faulty.__file__)
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 LAPTOP = {"width": 1366, "height": 768}
 

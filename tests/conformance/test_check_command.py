@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from dosplan.cli import main
-from dosplan.commands import BAD_INPUT, FAILED, OK
-from dosplan.files import read_json
+from dosplan.cli.command import BAD_INPUT, FAILED, OK
+from dosplan.cli.main import main
+from dosplan.system.files import read_json
 
 BAD = Path(__file__).with_name("bad_plugins.py")
 LIMIT = 5  # s; only who hangs needs as long.

@@ -13,12 +13,12 @@ import pytest
 from dosplan_baseline.cruise import CruisePlanner
 from dosplan_simple.predictors import ConstantVelocityPredictor
 
-from dosplan import conformance
 from dosplan.api import Planner, Predictor
-from dosplan.conformance import Report, check_planner, check_predictor
+from dosplan.plugins import conformance
+from dosplan.plugins.conformance import Report, check_planner, check_predictor
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
 from dosplan.vehicle import VehicleParameters
-from tests.peers import skip_where_missing
+from tests.support.peers import skip_where_missing
 
 
 def installed(kind: str) -> list[Any]:

@@ -18,14 +18,23 @@ import pytest
 
 pytest.importorskip("distributed", reason="Dask is an optional dependency")
 
-from dosplan import __version__, cluster
-from dosplan.cli import main
-from dosplan.observer import ProgressObserver
-from dosplan.runner import RunError, run
+from dosplan import __version__
+from dosplan.cli.main import main
+from dosplan.running import dask_cluster as cluster
+from dosplan.running.progress import ProgressObserver
+from dosplan.running.run import RunError, run
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
 from dosplan.types import Arm
-from tests.faults.common import command, configured, rows_in, start, until, untimed, write_scenes
 from tests.faults.planners import NAMES
+from tests.support.fault_runs import (
+    command,
+    configured,
+    rows_in,
+    start,
+    until,
+    untimed,
+    write_scenes,
+)
 
 SCENARIOS = 8
 

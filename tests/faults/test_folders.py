@@ -11,13 +11,13 @@ from typing import Any
 
 import pytest
 
-from dosplan import runner
-from dosplan.cli import BAD_INPUT, main
-from dosplan.files import FileError
-from dosplan.results import RunFolder
-from dosplan.runner import RunError, run
+from dosplan.cli.main import BAD_INPUT, main
+from dosplan.results.folder import RunFolder
+from dosplan.running import run as runner
+from dosplan.running.run import RunError, run
 from dosplan.scenario import find_scenarios
-from tests.faults.common import (
+from dosplan.system.files import FileError
+from tests.support.fault_runs import (
     command,
     configured,
     rows_in,
@@ -25,7 +25,7 @@ from tests.faults.common import (
     untimed,
     write_scenes,
 )
-from tests.short_runs import InProcess
+from tests.support.runs import InProcess
 
 
 @pytest.fixture(scope="module")

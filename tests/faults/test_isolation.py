@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from dosplan import process
-from dosplan.files import read_json
-from dosplan.process import EpisodeProcess
-from dosplan.results import read_rows
-from dosplan.runner import RunError, run
+from dosplan.results.folder import read_rows
+from dosplan.running import process
+from dosplan.running.process import EpisodeProcess
+from dosplan.running.run import RunError, run
 from dosplan.scenario import find_scenarios
+from dosplan.system.files import read_json
 from dosplan.types import Arm, Outcome
-from tests.faults.common import alive, configured, until, write_scenes
 from tests.faults.planners import FAULTS
+from tests.support.fault_runs import alive, configured, until, write_scenes
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 

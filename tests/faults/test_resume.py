@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from dosplan import runner
-from dosplan.observer import ProgressObserver
-from dosplan.results import RunFolder, row_line
-from dosplan.runner import RunConfig, RunError, run
+from dosplan.results.folder import RunFolder, row_line
+from dosplan.running import run as runner
+from dosplan.running.progress import ProgressObserver
+from dosplan.running.run import RunConfig, RunError, run
 from dosplan.types import Score
-from tests.faults.common import (
+from tests.support.fault_runs import (
     command,
     configured,
     rows_in,
@@ -25,7 +25,7 @@ from tests.faults.common import (
     untimed,
     write_scenes,
 )
-from tests.short_runs import InProcess
+from tests.support.runs import InProcess
 
 EPISODES = 4  # Two scenarios in both arms.
 

@@ -12,14 +12,14 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pytest
 
-from dosplan import runner
-from dosplan.cli import main
-from dosplan.files import FileError
-from dosplan.runner import RunError, run
+from dosplan.cli.main import main
+from dosplan.running import run as runner
+from dosplan.running.run import RunError, run
 from dosplan.scenario import find_scenarios
+from dosplan.system.files import FileError
 from dosplan.types import Outcome
-from tests.faults.common import configured, untimed, write_scenes
-from tests.short_runs import InProcess
+from tests.support.fault_runs import configured, untimed, write_scenes
+from tests.support.runs import InProcess
 
 
 @pytest.fixture(autouse=True)

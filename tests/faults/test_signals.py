@@ -11,8 +11,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.faults.common import alive, command, rows_in, start, until, write_scenes
 from tests.faults.planners import NAMES
+from tests.support.fault_runs import alive, command, rows_in, start, until, write_scenes
 
 
 def _hanging(tmp_path: Path, fault: str) -> tuple[subprocess.Popen[str], list[int]]:

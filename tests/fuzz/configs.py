@@ -11,7 +11,7 @@ from dosplan_dos.commands import _read as read_config
 from dosplan_dos.training import SetTraining
 from dosplan_net.training import NetTraining
 
-from dosplan.commands import BAD_INPUT
+from dosplan.cli.command import BAD_INPUT
 from dosplan.evaluation.methods import build, check_labels, read_methods
 from tests.fuzz.byte_damage import damage_binary
 from tests.fuzz.harness import Case, one_line_at_most, shell

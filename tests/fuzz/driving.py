@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from dosplan.api import Planner, Predictor
-from dosplan.registry import create_planner, create_predictor
-from dosplan.results import row_line
-from dosplan.scoring import score
-from dosplan.simulation import SimulationConfig, run_episode
+from dosplan.plugins.registry import create_planner, create_predictor
+from dosplan.results.folder import row_line
+from dosplan.scoring.score import score
+from dosplan.simulation.loop import SimulationConfig, run_episode
 from dosplan.types import Arm, EpisodeEnd, Scenario
 from dosplan.vehicle import VehicleParameters
 from tests.fuzz.harness import check_message

@@ -20,9 +20,10 @@ from typing import Final
 
 from pebble import ProcessExpired, ProcessPool
 
-from dosplan.cli import _user_errors, main
-from dosplan.commands import BAD_INPUT
-from dosplan.workers import cause_of_death
+from dosplan.cli.command import BAD_INPUT
+from dosplan.cli.main import main
+from dosplan.system.errors import DosplanError
+from dosplan.system.workers import cause_of_death
 from tests.fuzz.watch import nothing_else_opened
 
 CASE_SECONDS: Final = 60.0
@@ -139,7 +140,7 @@ def one_line_at_most(*names: str) -> Iterator[None]:
     """
     try:
         yield
-    except _user_errors() as error:
+    except (DosplanError, OSError) as error:
         check_message(str(error), *names)
 
 

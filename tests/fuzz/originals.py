@@ -8,7 +8,7 @@ import random
 from pathlib import Path
 from typing import Final
 
-from tests.suite import SUITE
+from tests.support.suite import SUITE
 
 OURS: Final = (
     "ZAM_Parked-1_1_T-1",

@@ -9,13 +9,13 @@ from __future__ import annotations
 from functools import cache
 from typing import Final
 
-from dosplan.registry import create_planner, create_predictor
+from dosplan.plugins.registry import create_planner, create_predictor
 from dosplan.scenario import load_scenario
 from dosplan.types import Scenario
 from tests.fuzz.driving import drive
 from tests.fuzz.harness import Case, one_line_at_most
 from tests.fuzz.originals import OURS
-from tests.suite import SUITE
+from tests.support.suite import SUITE
 
 _CLASS: Final = """\
 from dosplan.api import Planner, Predictor
@@ -45,7 +45,7 @@ _BODIES: Final = (
 _SPECS: Final = (
     "", ":", "a:", ":a", "a:b:c", ".:a", "..a:b", "a.:b", "os:system", "os:", "builtins:object",
     "dosplan.api:Planner", "dosplan.api:Predictor", "nowhere.py:Mine", "/dev/null.py:A", "x\0.py:A",
-    "a\nb", "../x", "mpc ", "MPC", "\ud800", "a" * 1000, "dosplan.cli:main", "/:/", "~.py:x", "é:é",
+    "a\nb", "../x", "mpc ", "MPC", "\ud800", "a" * 1000, "dosplan.vehicle:a", "/:", "~.py:x", "é:é",
 )  # fmt: skip
 _OPTIONS: Final[tuple[dict[str, object], ...]] = ({}, {}, {"z": 1}, {"seed": 1}, {"": 1})
 

@@ -16,19 +16,19 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from dosplan import runner
-from dosplan.commands import BAD_INPUT, OK
+from dosplan.cli.command import BAD_INPUT, OK
 from dosplan.explain import explain
-from dosplan.recording import load_cycle_ms, load_recording
 from dosplan.report.html.write import write_report
-from dosplan.results import RunFolder, read_run
-from dosplan.runner import RunConfig, run
-from dosplan.scenario.folders import cache_folder
+from dosplan.results.folder import RunFolder, read_run
+from dosplan.results.recording import load_cycle_ms, load_recording
+from dosplan.running import run as runner
+from dosplan.running.run import RunConfig, run
+from dosplan.system.folders import cache_folder
 from dosplan.types import Arm
-from tests.faults.common import configured, write_scenes
 from tests.fuzz.byte_damage import damage_binary
 from tests.fuzz.harness import Case, one_line_at_most, shell
-from tests.short_runs import InProcess
+from tests.support.fault_runs import configured, write_scenes
+from tests.support.runs import InProcess
 
 RUN: Final = Path("run")
 SCENES: Final = Path("scenes")

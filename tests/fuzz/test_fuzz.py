@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pebble import ProcessPool
 
-from dosplan.workers import worker_pool
+from dosplan.system.workers import worker_pool
 from tests.fuzz.families import FAMILIES
 from tests.fuzz.harness import Attempt, judge
 

@@ -18,8 +18,8 @@ import pytest
 from pebble import ProcessPool
 
 from dosplan.scenario import ScenarioError
+from dosplan.system.workers import worker_pool
 from dosplan.types import Scenario
-from dosplan.workers import worker_pool
 from tests.fuzz import scenarios
 from tests.fuzz.configs import damaged_methods
 from tests.fuzz.harness import Attempt, Case, judge, one_line_at_most, shell

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from dosplan.scenario.folders import cache_folder
+from dosplan.system.folders import cache_folder
 
 _PROJECT: Final = Path(__file__).resolve().parents[2]
 _SYSTEM: Final = ("/proc/", "/dev/", "/sys/", "/etc/")

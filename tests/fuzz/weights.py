@@ -12,7 +12,7 @@ import numpy as np
 from dosplan_dos.predictor import shipped_sets
 from dosplan_net.encoder import shipped_weights
 
-from dosplan.registry import RegistryError, create_predictor
+from dosplan.plugins.registry import RegistryError, create_predictor
 from tests.fuzz.byte_damage import damage_binary
 from tests.fuzz.harness import Case, check_message
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from dosplan.scoring import score
+from dosplan.scoring.score import score
 from dosplan.types import CollisionClass, Outcome
 from tests.golden.scene import VEHICLE, Case, read_cases
 

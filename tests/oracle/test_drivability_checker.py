@@ -2,8 +2,8 @@
 
 Every ego follows its route: at constant speed, braking, or swerving to either side, so that it
 runs into traffic and off the road. Where the two disagree, the reason must be one of the
-tolerances that are stated in ``dosplan.collision``, ``dosplan.bounds`` and the map's closed seams,
-which shapely confirms without either of them.
+tolerances that are stated in ``dosplan.scoring.collision``, ``dosplan.scoring.bounds`` and
+the map's closed seams, which shapely confirms without either of them.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 import shapely
 
-from dosplan.bounds import HAIRLINE, outside
-from dosplan.collision import TOUCH, first_contacts, shape_at
 from dosplan.geometry import rectangle_corners
 from dosplan.scenario import ScenarioError, load_scenario
+from dosplan.scoring.bounds import HAIRLINE, outside
+from dosplan.scoring.collision import TOUCH, first_contacts, shape_at
 from dosplan.types import FloatArray, Scenario
 from dosplan.vehicle import VehicleParameters
 from tests.oracle.real_data import commonroad_root

@@ -15,7 +15,7 @@ import pytest
 import shapely
 
 from dosplan.convert.lanelet2 import read_lanelet2
-from tests.sind_record import write_map
+from tests.support.sind_record import write_map
 
 lanelet2: Any = pytest.importorskip("lanelet2", reason="lanelet2 is not installed")
 

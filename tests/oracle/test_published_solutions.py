@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from dosplan.collision import SWEPT_TOUCH, first_contacts, shape_at
 from dosplan.geometry import rectangle_corners
 from dosplan.scenario import ScenarioError, load_scenario
-from dosplan.scoring import score
-from dosplan.simulation import known_drive
+from dosplan.scoring.collision import SWEPT_TOUCH, first_contacts, shape_at
+from dosplan.scoring.score import score
+from dosplan.simulation.loop import known_drive
 from dosplan.types import Arm, Episode, FloatArray, Outcome, Scenario
 from dosplan.vehicle import VehicleParameters
 from tests.oracle.real_data import commonroad_root, scenario_file

@@ -17,7 +17,7 @@ from commonroad.common.util import FileFormat
 from commonroad.scenario.traffic_light import TrafficLightState
 
 from dosplan.vehicle import VehicleParameters
-from tests.suite import ROWS, SUITE, Row, drives, each
+from tests.support.suite import ROWS, SUITE, Row, drives, each
 
 SCHEMA = (
     Path(commonroad.__file__).parent

@@ -10,9 +10,9 @@ from baselines import PLANNERS, drive_baselines
 from suitegen.verdict import VEHICLE, recorded_episode
 
 from dosplan.scenario import load_scenario
-from dosplan.scoring import score
+from dosplan.scoring.score import score
 from dosplan.types import Outcome
-from tests.suite import ROWS, SUITE, Row, baselines, drives, each
+from tests.support.suite import ROWS, SUITE, Row, baselines, drives, each
 
 SUCCESS = Outcome.SUCCESS.value
 

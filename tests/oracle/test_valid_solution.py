@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dosplan.registry import create_planner, create_predictor
+from dosplan.plugins.registry import create_planner, create_predictor
 from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
-from dosplan.scenario.document import read_file, unpacked
-from dosplan.scenario.solution import Drive, solution_xml
-from dosplan.scoring import score
-from dosplan.simulation import run_episode
+from dosplan.scenario.commonroad.document import read_file, unpacked
+from dosplan.scenario.commonroad.solution import Drive, solution_xml
+from dosplan.scoring.score import score
+from dosplan.simulation.loop import run_episode
 from dosplan.types import Arm, Score
 from dosplan.vehicle import VehicleParameters
 from tests.oracle.real_data import commonroad_root
-from tests.scenes import Goal, Problem, rectangle, write_scenario_xml
+from tests.support.scenes import Goal, Problem, rectangle, write_scenario_xml
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # commonroad-io's protobuf
 VEHICLE = VehicleParameters()

@@ -13,9 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from dosplan.files import FileError
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Evaluation, Published
+from dosplan.system.files import FileError
 from dosplan.types import FloatArray
 
 _CALIBRATED: Final = {"marker": "o", "linestyle": "-"}

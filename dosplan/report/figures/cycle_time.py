@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from dosplan.files import FileError
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
+from dosplan.system.files import FileError
 
 # What grows: label of the axis, whether it is logarithmic, and what is left out: the horizon is
 # measured with other predictions than the rest, since the trained ones end at 4 s.

@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dosplan.files import FileError
-from dosplan.intervals import Interval, mean_interval, share_interval
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
-from dosplan.report.scene import ARM_COLOURS
+from dosplan.report.film.scene import ARM_COLOURS
 from dosplan.report.tables import ARM_TITLES
+from dosplan.results.intervals import Interval, mean_interval, share_interval
+from dosplan.system.files import FileError
 from dosplan.types import Arm, Outcome, Score
 
 RUNS: Final = {"suite": "embedded suite", "recorded": "recorded scenarios"}

@@ -13,13 +13,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from dosplan.evaluation.windows import STEPS
-from dosplan.registry import create_predictor
+from dosplan.plugins.registry import create_predictor
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
-from dosplan.report.layers import SET_COLOURS, Sets, Users, on_scene
-from dosplan.report.scene import KIND_COLOURS, draw_map
+from dosplan.report.film.layers import SET_COLOURS, Sets, Users, on_scene
+from dosplan.report.film.scene import KIND_COLOURS, draw_map
 from dosplan.scenario import find_scenarios, load_scenario
-from dosplan.simulation import observe
+from dosplan.simulation.loop import observe
 from dosplan.types import HISTORY_STEPS, STEP_SECONDS, Occupancy, RoadUserKind, Scenario
 
 SCENE: Final = "ZAM_Roundabout-1_2_T-1"  # Bends, where a set's angle matters.

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from dosplan.files import FileError, read_json
-from dosplan.results import read_run
+from dosplan.results.folder import read_run
+from dosplan.system.files import FileError, read_json
 from dosplan.types import FloatArray, Score
 
 Z95: Final = 1.96  # Standard errors on each side of a 95 % interval.

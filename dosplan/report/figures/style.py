@@ -20,7 +20,7 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from dosplan.files import atomic_file
+from dosplan.system.files import atomic_file
 from dosplan.types import Arm, FloatArray
 
 COLUMN: Final = 3.5

@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dosplan.files import FileError
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Evaluation, Published
+from dosplan.system.files import FileError
 
 _MAIN: Final = "DOS ellipse"  # The paper's main setting: k 0.1, alpha 3.
 _MAIN_K, _MAIN_ALPHA = 0.1, 3.0

@@ -6,9 +6,9 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
-from dosplan.files import FileError
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
+from dosplan.system.files import FileError
 
 MODEL: Final = "trajectory network"
 BESIDE: Final = "PR z=1.0"

@@ -10,13 +10,13 @@ import numpy as np
 
 from dosplan.explain.drive import Drive as ScoredDrive
 from dosplan.explain.goal import goal_facts
-from dosplan.files import FileError
 from dosplan.report.html.codec import pack
 from dosplan.report.html.coverage import Foretold, SetsMet, foretold, sets_met
 from dosplan.report.html.episode import Drive, encode_episode
-from dosplan.report.html.scenes import families, is_of
+from dosplan.report.html.scenarios import families, is_of
 from dosplan.report.html.sides import Pairing
 from dosplan.report.html.thumbnails import thumbnail
+from dosplan.system.files import FileError
 from dosplan.types import STEP_SECONDS, CollisionClass, FloatArray, Outcome, Scenario, Score
 from dosplan.vehicle import VehicleParameters
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dosplan.evaluation.groups import MOVING
-from dosplan.recording import Recording
+from dosplan.results.recording import Recording
 from dosplan.types import USER_VELOCITY, BoolArray, FloatArray, IntArray, Tracks
 
 

@@ -17,9 +17,9 @@ import shapely
 from shapely.geometry import MultiPolygon, Polygon
 
 from dosplan.geometry import areas
-from dosplan.recording import Recording
 from dosplan.report.html.codec import METRE, RADIAN, SPEED, differences, polyline
 from dosplan.report.html.predictions import prediction_blocks
+from dosplan.results.recording import Recording
 from dosplan.types import (
     EGO_VELOCITY,
     STEP_SECONDS,

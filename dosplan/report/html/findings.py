@@ -1,7 +1,7 @@
 """The tables of a page: headline with intervals, outcome by group, coverage beside collisions.
 
 The interval of a share is Wilson's, that of a mean a percentile bootstrap over scenarios; intervals
-and tests of differences are those of ``dosplan.comparison``. All are at 95 %.
+and tests of differences are those of ``dosplan.results.comparison``. All are at 95 %.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from dosplan.comparison import Difference
-from dosplan.intervals import mean_interval, share_interval
 from dosplan.report.html.cases import OUTCOME_WORDS, Case
 from dosplan.report.html.coverage import Coverage, total
 from dosplan.report.html.sides import Pairing, Side
+from dosplan.results.comparison import Difference
+from dosplan.results.intervals import mean_interval, share_interval
 from dosplan.types import STEP_SECONDS, FloatArray, Outcome, Score
 
 _LOOK_AHEAD: Final = (1.0, 2.0, 3.0)  # s; where coverage is given beside collisions.

@@ -23,14 +23,18 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from dosplan import __version__
-from dosplan.comfort import MAX_LATERAL_ACCELERATION, MAX_LONGITUDINAL_JERK, MIN_ACCELERATION
+from dosplan.report.film.scene import GOAL_COLOUR, KIND_COLOURS
 from dosplan.report.html import findings
 from dosplan.report.html.cases import FASTER, MOST_EXAMINED, OUTCOME_WORDS, Case, examine
 from dosplan.report.html.episode import KINDS
 from dosplan.report.html.figures import coverage_plot, histogram
 from dosplan.report.html.sides import Pairing
 from dosplan.report.html.thumbnails import HEIGHT, WIDTH
-from dosplan.report.scene import GOAL_COLOUR, KIND_COLOURS
+from dosplan.scoring.comfort import (
+    MAX_LATERAL_ACCELERATION,
+    MAX_LONGITUDINAL_JERK,
+    MIN_ACCELERATION,
+)
 from dosplan.types import FloatArray, Score
 
 MOST_BYTES: Final = 4_900_000

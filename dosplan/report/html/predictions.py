@@ -14,8 +14,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from dosplan.recording import Recording
 from dosplan.report.html.codec import AXIS, METRE, RADIAN, differences
+from dosplan.results.recording import Recording
 from dosplan.types import BoolArray, FloatArray, IntArray
 
 AGREE_METRES: Final = 0.05

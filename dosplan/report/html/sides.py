@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from dosplan.comparison import Comparison
-from dosplan.files import FileError
-from dosplan.recording import Recording, load_recording
-from dosplan.report.html.scenes import Scenes
-from dosplan.results import RunFolder
+from dosplan.report.html.scenarios import Scenes
+from dosplan.results.comparison import Comparison
+from dosplan.results.folder import RunFolder
+from dosplan.results.recording import Recording, load_recording
+from dosplan.system.files import FileError
 from dosplan.types import Arm, Score
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
-from dosplan.comparison import compare_rows, paired_sides
-from dosplan.files import write_text
 from dosplan.report.html.page import build_page
-from dosplan.report.html.scenes import find_scenes
+from dosplan.report.html.scenarios import find_scenes
 from dosplan.report.html.sides import Pairing, Side
 from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
-from dosplan.results import RunFolder, read_manifest, read_run
+from dosplan.results.comparison import compare_rows, paired_sides
+from dosplan.results.folder import RunFolder, read_manifest, read_run
+from dosplan.system.files import write_text
 from dosplan.types import Arm
 
 _ARM_TEXTS: Final = {
@@ -57,7 +57,7 @@ def write_comparison(specs: Sequence[str], out: Path) -> Path:
     """Writes the page that compares two runs, or the arms of one.
 
     Args:
-        specs: As for ``dosplan.comparison.compare_runs``.
+        specs: As for ``dosplan.results.comparison.compare_runs``.
         out: The file.
 
     Returns:

@@ -1,0 +1,227 @@
+"""The commands as functions, for scripts and notebooks: what ``import dosplan`` offers.
+
+A run drives in worker processes, which import the script that started it: a script that calls
+``run_suite`` does so below ``if __name__ == "__main__":``.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dosplan.api import Planner, Predictor
+from dosplan.plugins.registry import RegistryError, create_planner, create_predictor
+from dosplan.results.comparison import Comparison, compare_runs
+from dosplan.results.dataframes import to_pandas, to_polars
+from dosplan.results.folder import RunFolder, read_run
+from dosplan.results.recording import Recording, load_recording
+from dosplan.running.config import RunConfig, default_folder
+from dosplan.running.progress import Progress, ProgressObserver
+from dosplan.running.run import run
+from dosplan.scoring.score import score
+from dosplan.simulation.loop import SimulationConfig
+from dosplan.simulation.loop import run_episode as simulate
+from dosplan.system.files import read_json
+from dosplan.types import Arm, Episode, Scenario, Score
+from dosplan.vehicle import VehicleParameters
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+
+
+@dataclass(frozen=True)
+class Driven:
+    """One episode that was driven here.
+
+    Attributes:
+        episode: What happened.
+        score: Its row.
+    """
+
+    episode: Episode
+    score: Score
+
+
+@dataclass(frozen=True)
+class Results:
+    """A finished run.
+
+    Attributes:
+        path: The run folder.
+        manifest: Content of ``run.json``.
+        rows: The rows, in the order of the scenarios.
+    """
+
+    path: Path
+    manifest: dict[str, Any]
+    rows: tuple[Score, ...]
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Content of ``summary.json``: the figures of each arm, by its name.
+
+        Raises:
+            FileError: It cannot be read.
+        """
+        found: dict[str, Any] = read_json(RunFolder(self.path).summary)
+        return found
+
+    def recording(self, scenario: str, arm: Arm | str) -> Recording:
+        """Reads what was driven, planned and predicted in an episode.
+
+        Args:
+            scenario: Id of the scenario.
+            arm: The arm.
+
+        Returns:
+            The recording.
+
+        Raises:
+            FileError: There is none, or it cannot be read.
+        """
+        return load_recording(RunFolder(self.path).recording(scenario, Arm(arm)))
+
+    def to_polars(self) -> polars.DataFrame:
+        """The rows as a polars frame.
+
+        Raises:
+            ImportError: polars is not installed.
+        """
+        return to_polars(self.rows)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The rows as a pandas frame.
+
+        Raises:
+            ImportError: pandas is not installed.
+        """
+        return to_pandas(self.rows)
+
+
+def run_episode(
+    scenario: Scenario,
+    planner: Planner | str = "mpc",
+    predictor: Predictor | str = "dos",
+    arm: Arm | str = Arm.WITH_DOS,
+    *,
+    seed: int = 0,
+    replan_every: int = 1,
+) -> Driven:
+    """Drives and scores one scenario, in this process.
+
+    Args:
+        scenario: What to drive, from ``load_scenario``.
+        planner: A planner, or the name of one.
+        predictor: A predictor, or the name of one.
+        arm: With or without the sets.
+        seed: Seed of a plug-in that is given by its name.
+        replan_every: Steps driven from each plan.
+
+    Returns:
+        The episode and its score. What a plug-in raises is in the score's ``error``.
+
+    Raises:
+        RegistryError: There is no plug-in of that name.
+    """
+    if isinstance(planner, str):
+        planner = create_planner(planner, seed)
+    if isinstance(predictor, str):
+        predictor = create_predictor(predictor, seed)
+    vehicle = VehicleParameters()
+    config = SimulationConfig(replan_every=replan_every)
+    episode = simulate(scenario, planner, predictor, Arm(arm), config, vehicle)
+    return Driven(episode, score(scenario, episode, vehicle))
+
+
+def run_suite(
+    source: str | Path = "suite",
+    planner: type[Planner] | str = "mpc",
+    predictor: type[Predictor] | str = "dos",
+    *,
+    out: str | Path | None = None,
+    progress: Progress = lambda done, total: None,
+    **settings: Any,
+) -> Results:
+    """Drives and scores many scenarios, as ``dosplan run`` does; resumes a run that was stopped.
+
+    Args:
+        source: Where the scenarios are, as ``find_scenarios`` takes it.
+        planner: A planner's class, or the name of one.
+        predictor: A predictor's class, or the name of one.
+        out: The run folder; ``runs/<date and time>`` by default.
+        progress: Called with the number of finished episodes and of all.
+        **settings: Further fields of ``dosplan.running.config.RunConfig``, such as ``limit=10``,
+            ``workers=2``, ``predictor_options={"coverage": 0.9}`` or ``solutions=True``. Unlike
+            there, every CPU has a worker and parsed scenarios are kept.
+
+    Returns:
+        The run.
+
+    Raises:
+        RunError: The run may not start or cannot go on.
+        RegistryError: A plug-in cannot be found, or not by a worker process.
+        ScenarioError: There are no scenarios.
+        FileError: A result cannot be written.
+    """
+    config = RunConfig(
+        out=default_folder() if out is None else Path(out),
+        source=str(source),
+        planner=_spec(planner),
+        predictor=_spec(predictor),
+        **{"workers": os.cpu_count() or 1, "cache": True, **settings},
+    )
+    return open_run(run(config, ProgressObserver(progress)).path)
+
+
+def open_run(path: str | Path) -> Results:
+    """Reads a finished run.
+
+    Args:
+        path: A run folder.
+
+    Returns:
+        The run.
+
+    Raises:
+        FileError: It is not the folder of a finished run.
+    """
+    manifest, rows = read_run(Path(path))
+    return Results(Path(path), manifest, tuple(rows))
+
+
+def compare(a: Results | str | Path, b: Results | str | Path | None = None) -> list[Comparison]:
+    """Compares two runs, or the two arms of one, as ``dosplan compare`` does.
+
+    Args:
+        a: A run or its folder; a folder may be followed by ``:with_dos`` or ``:without_dos``.
+        b: Another one; None compares the arms of ``a``.
+
+    Returns:
+        ``b`` against ``a``, once for each arm that both hold; for one run, its arm with sets
+        against its arm without.
+
+    Raises:
+        CompareError: The sides do not match.
+        FileError: A folder is not that of a finished run.
+    """
+    runs = [run for run in (a, b) if run is not None]
+    return compare_runs([str(run.path if isinstance(run, Results) else run) for run in runs])
+
+
+def _spec(plugin: type[Any] | str) -> str:
+    """How a worker process finds a class: by its module, or by the file of the running script."""
+    if isinstance(plugin, str):
+        return plugin
+    if plugin.__module__ != "__main__":
+        return f"{plugin.__module__}:{plugin.__qualname__}"
+    file = getattr(sys.modules["__main__"], "__file__", None)
+    if file is None:
+        raise RegistryError(
+            f"worker processes cannot import {plugin.__qualname__}, which is defined in a "
+            "notebook or a console; write it to a file and give file.py:Class"
+        )
+    return f"{file}:{plugin.__qualname__}"

@@ -1,0 +1,142 @@
+"""What several built-in subcommands share: arguments, and how figures are shown and written."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+STDOUT: Final = Path("-")
+PLUGIN_HELP: Final = "a name of `dosplan list`, module:Class or path/to/file.py:Class"
+SOURCE_HELP: Final = (
+    "where the scenarios are: suite, a CommonRoad file, a folder, a quoted glob, a .zip or .tar.*, "
+    "a URL, or @LIST, a text file of such paths and of ids"
+)
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Declares ``--json``.
+
+    Args:
+        parser: The subcommand's parser.
+    """
+    parser.add_argument(
+        "--json",
+        type=_json_path,
+        nargs="?",
+        const=STDOUT,
+        metavar="PATH",
+        help="write the same figures there; without PATH, or with -, standard output has them "
+        "as one JSON document and nothing else",
+    )
+
+
+def _json_path(text: str) -> Path:
+    """A file to be written; a folder, or a file of another kind, was meant for another argument."""
+    path = Path(text)
+    if path.is_dir():
+        raise argparse.ArgumentTypeError(f"{text} is a folder; name a file, or write --json=-")
+    if path.is_file() and not _may_be_json(path):
+        raise argparse.ArgumentTypeError(
+            f"{text} is there and is no JSON; name another file, or write --json=-"
+        )
+    return path
+
+
+def _may_be_json(path: Path) -> bool:
+    """Whether a file is empty or begins as what ``show`` writes; one nobody may read may be."""
+    try:
+        with path.open("rb") as file:
+            return file.read(1) in (b"", b"{")
+    except OSError:
+        return True
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Declares ``--workers``.
+
+    Args:
+        parser: The subcommand's parser.
+    """
+    parser.add_argument(
+        "--workers",
+        type=int,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="worker processes (default: the number of CPUs, here %(default)s)",
+    )
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """Declares ``--seed``.
+
+    Args:
+        parser: The subcommand's parser.
+    """
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: %(default)s")
+
+
+def add_moved_source(parser: argparse.ArgumentParser) -> None:
+    """Declares ``--source`` for a command that reads a run folder.
+
+    Args:
+        parser: The subcommand's parser.
+    """
+    parser.add_argument(
+        "--source",
+        metavar="SOURCE",
+        help="where the scenarios lie now (default: where the run found them)",
+    )
+
+
+def show(parts: Sequence[RenderableType], figures: Any, json_path: Path | None) -> None:
+    """Prints what a command found, and writes the same figures as JSON where asked to.
+
+    Args:
+        parts: Tables and lines for the terminal.
+        figures: What they show, as ``json`` can write it.
+        json_path: Where to write the figures, or None; ``STDOUT`` prints them in place of the
+            parts.
+
+    Raises:
+        FileError: Standard output or the file cannot be written.
+    """
+    from dosplan.system.files import FileError, json_text, write_json
+
+    try:
+        if json_path == STDOUT:
+            sys.stdout.write(json_text(figures))
+        else:
+            out = console()
+            for part in parts:
+                out.print(part, highlight=False, markup=False)
+        sys.stdout.flush()
+    except OSError as error:
+        # What could not be written is still buffered, and leaving would try to write it again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise FileError(f"cannot write to standard output: {error.strerror}") from error
+    if json_path not in (None, STDOUT):
+        write_json(json_path, figures)
+
+
+def console(stderr: bool = False) -> Console:
+    """Opens the terminal, or what stands in its place.
+
+    Args:
+        stderr: Whether to write to standard error.
+
+    Returns:
+        The console.
+    """
+    from rich.console import Console
+
+    found = Console(stderr=stderr)
+    if not found.is_terminal:
+        found.width = 200  # A pipe has no width: do not fold what a program may read.
+    return found

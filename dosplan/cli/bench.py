@@ -1,0 +1,75 @@
+"""``dosplan bench``: what batches cost on this machine."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from dosplan.cli.arguments import add_json, show
+from dosplan.cli.command import OK
+
+
+class BenchCommand:
+    """Measures how batches scale."""
+
+    summary = "measure how batches scale on this machine"
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declares the arguments.
+
+        Args:
+            parser: The subcommand's parser.
+        """
+        add_json(parser)
+        parser.add_argument("what", choices=("scale",), help="what to measure")
+        parser.add_argument("--planner", default="mpc", metavar="NAME", help="default: %(default)s")
+        parser.add_argument(
+            "--predictor", default="growing-circle", metavar="NAME", help="default: %(default)s"
+        )
+        parser.add_argument(
+            "--scenarios",
+            type=_count,
+            default=10,
+            metavar="N",
+            help="suite scenarios to drive with one and two workers (default: %(default)s)",
+        )
+        parser.add_argument(
+            "--episodes",
+            type=_count,
+            default=10_000,
+            metavar="N",
+            help="tiny episodes that show what one costs the runner (default: %(default)s)",
+        )
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Measures.
+
+        Args:
+            options: The arguments.
+
+        Returns:
+            0.
+
+        Raises:
+            RegistryError: A plug-in cannot be found.
+            RunError: A run cannot go on.
+            FileError: A file cannot be written.
+        """
+        from dosplan.running.scaling import measure_scale, scale_tables
+
+        figures = measure_scale(
+            options.planner,
+            options.predictor,
+            options.scenarios,
+            options.episodes,
+            lambda what: print(what, file=sys.stderr),
+        )
+        show(scale_tables(figures), figures, options.json)
+        return OK
+
+
+def _count(text: str) -> int:
+    """A number of at least two, as argparse wants it."""
+    if (value := int(text)) < 2:
+        raise argparse.ArgumentTypeError(f"{value} is too few; give 2 or more")
+    return value

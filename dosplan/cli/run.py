@@ -1,0 +1,229 @@
+"""``dosplan run``: drives and scores scenarios."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, Final
+
+from dosplan.cli.arguments import (
+    PLUGIN_HELP,
+    SOURCE_HELP,
+    add_json,
+    add_seed,
+    add_workers,
+    console,
+    show,
+)
+from dosplan.cli.command import FAILED, INTERRUPTED, OK
+
+_EXAMPLES: Final = """\
+examples:
+  dosplan run                                    the suite, both arms, the built-in plug-ins
+  dosplan run --planner idm --limit 10           another planner, the first ten scenarios
+  dosplan run my/scenarios --planner mine.py:MyPlanner --with-dos
+  dosplan run scenarios.zip --solutions          a CommonRoad solution for each drive, too
+  dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
+  dosplan run --predictor ground-truth --unranked
+  dosplan run --quiet --json > figures.json      for scripts
+"""
+
+Setting = tuple[str, str, Any]
+
+
+class RunCommand:
+    """Drives scenarios with a planner and a predictor."""
+
+    summary = "drive and score scenarios with a planner and a predictor"
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Declares the arguments.
+
+        Args:
+            parser: The subcommand's parser.
+        """
+        parser.epilog = _EXAMPLES
+        add_json(parser)
+        parser.add_argument(
+            "--quiet", action="store_true", help="show no progress, only the final figures"
+        )
+        _add_what_to_drive(parser)
+        _add_how_to_drive(parser)
+
+    def run(self, options: argparse.Namespace) -> int:
+        """Drives, and shows the figures of the run.
+
+        Args:
+            options: The arguments.
+
+        Returns:
+            0; 1 where an episode is a planner failure; 130 where the run was interrupted.
+
+        Raises:
+            RunError: The run may not start or cannot go on.
+            RegistryError: A plug-in cannot be found or takes no such option.
+            ScenarioError: There are no scenarios.
+            FileError: A file cannot be written.
+        """
+        from dosplan.report.progress import show_run
+        from dosplan.report.tables import error_lines, summary_tables
+        from dosplan.results.folder import read_rows
+        from dosplan.running.config import default_folder
+        from dosplan.running.progress import Observer
+        from dosplan.running.run import RunConfig, run
+        from dosplan.system.files import read_json
+        from dosplan.types import Arm
+
+        config = RunConfig(
+            out=options.out or default_folder(),
+            source=options.source,
+            planner=options.planner,
+            predictor=options.predictor,
+            planner_options=_chosen(options.settings, "planner"),
+            predictor_options=_chosen(options.settings, "predictor"),
+            arms=tuple(Arm(arm) for arm in options.arms) if options.arms else tuple(Arm),
+            workers=options.workers,
+            limit=options.limit,
+            seed=options.seed,
+            replan_every=options.replan_every,
+            episode_timeout=options.timeout,
+            memory_limit=options.memory_limit,
+            ranked=not options.unranked,
+            cluster=options.cluster,
+            cache=not options.no_cache,
+            solutions=options.solutions,
+        )
+        try:
+            shown = nullcontext(Observer()) if options.quiet else show_run(console(stderr=True))
+            with shown as observer:
+                folder = run(config, observer)
+        except KeyboardInterrupt:
+            hint = f"the same command with --out {shlex.quote(str(config.out))} resumes"
+            print(f"dosplan: interrupted; {hint}", file=sys.stderr)
+            return INTERRUPTED
+        summary = read_json(folder.summary)
+        report = _report_line(folder.path)
+        show([summary_tables(summary), f"results in {folder.path}", report], summary, options.json)
+        for line in error_lines(read_rows(folder.rows)):
+            print(line, file=sys.stderr)
+        failures = any(summary[arm.value]["planner_failure_rate"] > 0 for arm in config.arms)
+        return FAILED if failures else OK
+
+
+def _report_line(folder: Path) -> str:
+    """Writes the report, and says where it is; a report that fails does not fail the run."""
+    try:
+        from dosplan.report.html.write import write_report
+
+        return f"report in {write_report(folder)}"
+    except Exception as error:  # Whatever it is: the run itself is complete and written.
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        return f"no report ({reason}); to try again: dosplan report {shlex.quote(str(folder))}"
+
+
+def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "source",
+        nargs="?",
+        default="suite",
+        metavar="SOURCE",
+        help=f"{SOURCE_HELP} (default: %(default)s)",
+    )
+    arms = parser.add_mutually_exclusive_group()
+    arms.add_argument(
+        "--with-dos",
+        dest="arms",
+        action="store_const",
+        const=("with_dos",),
+        help="drive only the arm with occupancy sets (default: both arms)",
+    )
+    arms.add_argument(
+        "--without-dos",
+        dest="arms",
+        action="store_const",
+        const=("without_dos",),
+        help="drive only the arm without them",
+    )
+    parser.add_argument("--planner", default="mpc", help=f"{PLUGIN_HELP} (default: %(default)s)")
+    parser.add_argument("--predictor", default="dos", help="likewise (default: %(default)s)")
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        type=_setting,
+        action="append",
+        default=[],
+        metavar="PLUGIN.NAME=VALUE",
+        help="an option of a plug-in, such as predictor.coverage=0.9 or planner.NAME=VALUE; "
+        "VALUE as in YAML; may be given again",
+    )
+
+
+def _add_how_to_drive(parser: argparse.ArgumentParser) -> None:
+    add_workers(parser)
+    parser.add_argument("--limit", type=int, metavar="N", help="drive the first N scenarios only")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="run folder (default: runs/<date and time>)"
+    )
+    parser.add_argument(
+        "--solutions",
+        action="store_true",
+        help="write what was driven as CommonRoad solutions, too: DIR/solutions/*.xml",
+    )
+    add_seed(parser)
+    parser.add_argument(
+        "--replan-every",
+        type=int,
+        default=1,
+        metavar="N",
+        help="steps driven from each plan (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--timeout",
+        type=float,
+        default=600.0,
+        metavar="S",
+        help="seconds after which an episode counts as hung (default: %(default)g)",
+    )
+    parser.add_argument(
+        "--memory-limit",
+        type=int,
+        default=4000,
+        metavar="MB",
+        help="resident memory at which a worker process is ended (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="drive on a Dask cluster: tcp://host:port of its scheduler, or local:N processes",
+    )
+    parser.add_argument(
+        "--no-cache", action="store_true", help="parse every scenario anew, and keep none"
+    )
+    parser.add_argument(
+        "--unranked",
+        action="store_true",
+        help="allow a predictor that is shown the future, and mark the results",
+    )
+
+
+def _setting(text: str) -> Setting:
+    """``PLUGIN.NAME=VALUE`` as its three parts."""
+    from dosplan.system.yaml_text import YamlError, parse_yaml
+
+    key, equals, value = text.partition("=")
+    plugin, _, name = key.partition(".")
+    if plugin not in ("planner", "predictor") or not name.isidentifier() or not equals:
+        raise argparse.ArgumentTypeError(
+            f"{text!r:.100} is not of the form planner.NAME=VALUE or predictor.NAME=VALUE"
+        )
+    try:
+        return plugin, name, parse_yaml(value)
+    except YamlError as error:
+        raise argparse.ArgumentTypeError(f"{key!r}: the value {error}") from None
+
+
+def _chosen(settings: list[Setting], plugin: str) -> dict[str, Any]:
+    return {name: value for owner, name, value in settings if owner == plugin}

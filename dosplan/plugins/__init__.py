@@ -1,0 +1,1 @@
+"""Finds planners and predictors, builds them with their options, and checks their contract."""

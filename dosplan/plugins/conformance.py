@@ -1,0 +1,388 @@
+"""Checks that a plug-in keeps the contract of ``dosplan.api``: what ``dosplan check`` runs.
+
+Every check is a function that returns when the plug-in is right and raises ``_BrokenError``
+with what to fix when it is not. Anything else that a plug-in raises breaks the check as well.
+The scenes are built in code (``dosplan.scenario.synthetic``); no file is read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dosplan.api import NoPlanError, OraclePredictor, Planner, Predictor
+from dosplan.plugins.short_drives import (
+    Trace,
+    another_future,
+    changed_fields,
+    drive_planner,
+    drive_predictor,
+)
+from dosplan.scenario.synthetic import (
+    busy_scenario,
+    crowded_scenario,
+    growing_sets,
+    straight_scenario,
+)
+from dosplan.system.errors import failure_place, one_line
+from dosplan.types import Observation, Occupancy, Scenario
+from dosplan.vehicle import VehicleParameters
+
+SEED = 7
+HORIZON = 40
+SLOW_SECONDS = 2.0  # Median time of a call; a cycle of the benchmark is 0.1 s.
+MODEL_TOLERANCE = 0.05  # m, rad and m/s between a plan's states and those of the vehicle model.
+INPUT_TOLERANCE = 0.05  # rad/s and m/s2 beyond what the actuators deliver.
+
+
+class _BrokenError(Exception):
+    """A broken rule; the message says what to fix."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """The result of one check.
+
+    Attributes:
+        name: What was checked.
+        ok: Whether the plug-in passed.
+        message: What to fix; empty when it passed.
+    """
+
+    name: str
+    ok: bool
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Report:
+    """The results of all checks.
+
+    Attributes:
+        plugin: Name of the plug-in.
+        checks: One result per check. Where a plug-in does not construct or does nothing on
+            the plain scene, the checks end there.
+    """
+
+    plugin: str
+    checks: tuple[Check, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether every check passed."""
+        return all(check.ok for check in self.checks)
+
+    @property
+    def failures(self) -> tuple[Check, ...]:
+        """The checks that did not pass."""
+        return tuple(check for check in self.checks if not check.ok)
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """A check that is still to be made.
+
+    Attributes:
+        name: What it checks.
+        holds: Returns when the plug-in is right, and raises when it is not.
+        advice: What to do where the plug-in itself raises.
+    """
+
+    name: str
+    holds: Callable[[], object]
+    advice: str = ""
+
+
+_Drive = Callable[..., Trace]
+
+
+@dataclass(frozen=True)
+class Contract:
+    """The checks of one plug-in, to be made one by one.
+
+    Attributes:
+        plugin: Name of the plug-in.
+        factory: What makes it.
+        first: Checks up to the first that breaks, for the rest would break alike.
+        then: The rest.
+    """
+
+    plugin: str
+    factory: Callable[..., Any]
+    first: tuple[_Rule, ...]
+    then: tuple[_Rule, ...]
+
+    def check(self, name: str) -> Check:
+        """Makes one check.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            The result; nothing is raised for a broken plug-in.
+        """
+        (rule,) = (rule for rule in (*self.first, *self.then) if rule.name == name)
+        try:
+            rule.holds()
+        except _BrokenError as broken:
+            return Check(name, False, str(broken))
+        except (Exception, SystemExit) as error:
+            writes = "read-only" in str(error)
+            advice = "copy the array before you write to it" if writes else rule.advice
+            raised = f"raised {one_line(error)} ({failure_place(error, self.factory)})"
+            return Check(name, False, f"{raised}; {advice}" if advice else raised)
+        return Check(name, True)
+
+    def report(self, check: Callable[[str], Check]) -> Report:
+        """Makes all checks.
+
+        Args:
+            check: Makes one, by its name: ``self.check``, or that in a process of its own.
+
+        Returns:
+            The report.
+        """
+        results: list[Check] = []
+        for rule in self.first:
+            results.append(check(rule.name))
+            if not results[-1].ok:
+                break
+        else:
+            results.extend(check(rule.name) for rule in self.then)
+        return Report(self.plugin, tuple(results))
+
+
+def check_planner(factory: Callable[..., Planner]) -> Report:
+    """Checks a planner.
+
+    Args:
+        factory: Its class, or anything that takes ``seed`` and returns an instance.
+
+    Returns:
+        The report; nothing is raised for a broken planner.
+    """
+    contract = planner_contract(factory)
+    return contract.report(contract.check)
+
+
+def check_predictor(factory: Callable[..., Predictor]) -> Report:
+    """Checks a predictor.
+
+    Args:
+        factory: Its class, or anything that takes ``seed`` and ``horizon`` and returns an
+            instance.
+
+    Returns:
+        The report; nothing is raised for a broken predictor.
+    """
+    contract = predictor_contract(factory)
+    return contract.report(contract.check)
+
+
+def planner_contract(factory: Callable[..., Planner]) -> Contract:
+    """Lists what a planner is checked for.
+
+    Args:
+        factory: As for ``check_planner``.
+
+    Returns:
+        The checks.
+    """
+
+    def build() -> Planner:
+        planner = factory(seed=SEED)
+        if not isinstance(planner, Planner):
+            raise _BrokenError("is no dosplan.api.Planner; inherit from it")
+        return planner
+
+    def drive(scenario: Scenario, **options: Any) -> Trace:
+        return drive_planner(build(), scenario, **options)
+
+    return Contract(
+        _name(factory),
+        factory,
+        (
+            _Rule("constructs", build),
+            _Rule("plans", lambda: drive(busy_scenario())),
+        ),
+        (
+            *_common_rules(build, drive, drive_planner),
+            _Rule("arms_agree_without_predictions", lambda: _arms_agree(drive)),
+            _Rule("vehicle_model", lambda: _follows_model(drive(busy_scenario()))),
+            _Rule("actuator_limits", lambda: _within_limits(drive(busy_scenario()))),
+        ),
+    )
+
+
+def predictor_contract(factory: Callable[..., Predictor]) -> Contract:
+    """Lists what a predictor is checked for.
+
+    Args:
+        factory: As for ``check_predictor``.
+
+    Returns:
+        The checks.
+    """
+
+    def build(horizon: int = HORIZON) -> Predictor:
+        predictor = factory(seed=SEED, horizon=horizon)
+        if not isinstance(predictor, Predictor):
+            raise _BrokenError("is no dosplan.api.Predictor; inherit from it")
+        return predictor
+
+    def drive(scenario: Scenario, **options: Any) -> Trace:
+        return drive_predictor(build(), scenario, **options)
+
+    return Contract(
+        _name(factory),
+        factory,
+        (
+            _Rule("constructs", build),
+            _Rule("predicts", lambda: drive(busy_scenario())),
+        ),
+        (
+            *_common_rules(build, drive, drive_predictor),
+            _Rule(
+                "one_step_horizon",
+                lambda: drive_predictor(build(1), busy_scenario()),
+                "predict as many steps as self.horizon says",
+            ),
+        ),
+    )
+
+
+def _name(factory: Callable[..., Any]) -> str:
+    return str(getattr(factory, "name", getattr(factory, "__name__", repr(factory))))
+
+
+def _common_rules(
+    build: Callable[[], Planner | Predictor], drive: _Drive, drive_one: _Drive
+) -> tuple[_Rule, ...]:
+    return (
+        _Rule("versioned_name", lambda: _versioned(build())),
+        _Rule("deterministic", lambda: _deterministic(drive)),
+        _Rule("reset_forgets", lambda: _forgets(build(), drive, drive_one)),
+        _Rule("future_unseen", lambda: _sees_no_future(build(), drive)),
+        _Rule("input_untouched", lambda: _keeps_input(drive(busy_scenario()))),
+        _Rule(
+            "no_road_users",
+            lambda: drive(straight_scenario()),
+            "where nobody is on the scene, the arrays of road users have no rows",
+        ),
+        _Rule(
+            "many_road_users",
+            lambda: _copes(drive),
+            "take any number of road users; here they are fifty",
+        ),
+        _Rule(
+            "short_history",
+            lambda: drive(busy_scenario(), visible=1),
+            "where Observation.valid is False, the past of a road user is NaN",
+        ),
+        _Rule("time", lambda: _in_time(drive(busy_scenario()))),
+    )
+
+
+# Checks.
+
+
+def _versioned(plugin: Planner | Predictor) -> None:
+    name = getattr(plugin, "name", None)
+    if not isinstance(name, str) or not re.fullmatch(r"\S+-v\d+", name):
+        raise _BrokenError(
+            f"name is {name!r}; results are kept by name, so give it a version: 'my-idea-v1'"
+        )
+
+
+def _deterministic(drive: _Drive) -> None:
+    if changed := changed_fields(drive(busy_scenario()), drive(busy_scenario())):
+        raise _BrokenError(
+            f"two instances with the same seed differ in {', '.join(changed)}; draw every "
+            "random number from a generator made from seed"
+        )
+
+
+def _forgets(used: Planner | Predictor, drive: _Drive, drive_one: _Drive) -> None:
+    drive_one(used, busy_scenario(velocity=4.0))
+    if changed := changed_fields(drive(busy_scenario()), drive_one(used, busy_scenario())):
+        raise _BrokenError(
+            f"after another episode, a scene gives another {', '.join(changed)}; "
+            "prepare() must clear what an episode left behind"
+        )
+
+
+def _sees_no_future(plugin: Planner | Predictor, drive: _Drive) -> None:
+    if isinstance(plugin, OraclePredictor):
+        return
+    scenario = busy_scenario()
+    if changed := changed_fields(drive(scenario), drive(another_future(scenario))):
+        raise _BrokenError(
+            f"with another future, the same past gives another {', '.join(changed)}; use nothing "
+            "but what it is handed, or be a dosplan.api.OraclePredictor"
+        )
+
+
+def _keeps_input(trace: Trace) -> None:
+    if trace.touched:
+        raise _BrokenError(
+            f"changed {', '.join(sorted(set(trace.touched)))}; work on copies of what it is handed"
+        )
+
+
+def _copes(drive: _Drive) -> None:
+    with suppress(NoPlanError):  # To say that nothing is free in a crowd is an answer, too.
+        drive(crowded_scenario())
+
+
+def _in_time(trace: Trace) -> None:
+    median = float(np.median(trace.seconds))
+    if median > SLOW_SECONDS:
+        raise _BrokenError(
+            f"a call takes {median:.2f} s (median of {len(trace.seconds)}), more than "
+            f"{SLOW_SECONDS:g} s; move what does not change to prepare()"
+        )
+
+
+def _arms_agree(drive: _Drive) -> None:
+    def nobody(observation: Observation) -> Occupancy:
+        sets = growing_sets(observation)
+        return replace(sets, valid=np.zeros_like(sets.valid))
+
+    with_sets = drive(busy_scenario(), sets=nobody)
+    without = drive(busy_scenario(), sets=lambda observation: nobody(observation).without_sets())
+    if changed := changed_fields(with_sets, without):
+        raise _BrokenError(
+            f"with nobody predicted, the two arms differ in {', '.join(changed)}; leave out road "
+            "users and steps where Occupancy.valid is False"
+        )
+
+
+def _follows_model(trace: Trace) -> None:
+    vehicle, dt = VehicleParameters(), straight_scenario().dt
+    for plan in trace.results:
+        state = plan.states[0]
+        for step, (u, planned) in enumerate(zip(plan.inputs, plan.states[1:], strict=True)):
+            state = vehicle.step(state, u, dt)
+            gap = float(np.max(np.abs(planned - state)))
+            if gap > MODEL_TOLERANCE:
+                raise _BrokenError(
+                    f"Plan.states are {gap:.2g} away from what Plan.inputs lead to at step "
+                    f"{step + 1}; make them with VehicleParameters.step"
+                )
+
+
+def _within_limits(trace: Trace) -> None:
+    vehicle, dt = VehicleParameters(), straight_scenario().dt
+    for plan in trace.results:
+        for step, (state, u) in enumerate(zip(plan.states[:-1], plan.inputs, strict=True)):
+            excess = float(np.max(np.abs(vehicle.clip_input(state, u, dt) - u)))
+            if excess > INPUT_TOLERANCE:
+                raise _BrokenError(
+                    f"Plan.inputs ask at step {step} for {excess:.2g} more than the vehicle "
+                    "can do; limit them with VehicleParameters.clip_input"
+                )

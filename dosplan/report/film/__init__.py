@@ -1,0 +1,1 @@
+"""Draws episodes: pictures, GIFs and videos."""

@@ -1,0 +1,193 @@
+"""What a film is made of: episodes of a run, a drive made for it, or the recording alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import shapely
+
+from dosplan._public import run_episode
+from dosplan.explain.drive import Drive
+from dosplan.geometry import rectangle_corners
+from dosplan.plugins.registry import create_planner, create_predictor
+from dosplan.report.film.scene import ARM_COLOURS, EGO_COLOUR
+from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
+from dosplan.results.lookup import find_recorded
+from dosplan.results.recording import load_recording, pack_recording
+from dosplan.scenario import ScenarioRef, load_scenario
+from dosplan.scoring.collision import shape_at
+from dosplan.system.files import FileError, write_bytes
+from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Scenario, Score
+from dosplan.vehicle import VehicleParameters
+
+
+@dataclass(frozen=True)
+class Take:
+    """What a panel shows.
+
+    Attributes:
+        name: Its heading.
+        colour: Colour of the ego.
+        scenario: The scene.
+        row: The row, or None where nobody drove: the ego stands at its start.
+        drive: The drive, or None where there is none.
+    """
+
+    name: str
+    colour: str
+    scenario: Scenario
+    row: Score | None = None
+    drive: Drive | None = None
+
+    @property
+    def start(self) -> int:
+        """Step of the first picture."""
+        return self.scenario.task.start_step
+
+    @property
+    def end(self) -> int:
+        """Step of the last picture: the end of the drive, or of the task where nobody drives."""
+        if self.drive is not None:
+            return self.start + self.drive.row.steps
+        task, recorded = self.scenario.task, self.scenario.tracks.steps - 1
+        if self.row is not None:
+            return self.start
+        return max(self.start, min(task.final_step, recorded))
+
+    @property
+    def moment(self) -> int:
+        """Step that decided the outcome; the first one where nobody drove."""
+        return self.start if self.drive is None else self.drive.decisive_step
+
+    @property
+    def ego(self) -> FloatArray:
+        """(K + 1, 4) x, y, m, heading, rad, and velocity, m/s, of the ego's centre."""
+        if self.drive is not None:
+            return self.drive.ego
+        start = self.scenario.task.start[None]
+        return np.column_stack([VehicleParameters().poses(start), start[:, EGO_VELOCITY]])
+
+    @property
+    def verdict(self) -> str:
+        """What became of it, in words; empty where nobody drove."""
+        if self.row is None:
+            return ""
+        words = self.row.outcome.value.replace("_", " ")
+        if self.drive is None:
+            return words
+        if (contact := self.drive.contact) is not None:
+            tracks = self.scenario.tracks
+            words = f"{words} with {tracks.kinds[contact.user]} {tracks.ids[contact.user]}"
+        return f"{words}, {self.seconds(self.moment):.1f} s"
+
+    @property
+    def place(self) -> FloatArray:
+        """(2,) where the outcome was decided, m: the contact of a collision, else the ego."""
+        pose = self.ego[min(self.moment - self.start, len(self.ego) - 1), :3]
+        contact = None if self.drive is None else self.drive.contact
+        if contact is None:
+            return np.asarray(pose[:2])
+        # Where they are in the picture of that step: a little past the touch, perhaps.
+        tracks = self.scenario.tracks
+        other = shape_at(tracks, contact.user, tracks.states[contact.user, contact.step])
+        ego = shapely.Polygon(rectangle_corners(pose, VehicleParameters().size))
+        return np.asarray(shapely.centroid(shapely.shortest_line(ego, other)).coords[0])
+
+    def seconds(self, step: int) -> float:
+        """Time of a step since the start, s."""
+        return (step - self.start) * STEP_SECONDS
+
+
+Takes = tuple[list[Take], str]
+"""The takes, and a line that says what they are."""
+
+
+def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | None) -> Takes:
+    """The episodes of a scenario in a run.
+
+    Args:
+        run: The run folder.
+        scenario: Id of the scenario.
+        arms: Arms that are wanted; those that the run does not drive are left out.
+        source: Where the scenarios lie now; where the run found them if None.
+
+    Returns:
+        A take for each arm.
+
+    Raises:
+        FileError: The folder holds no such episode, or none that ever drove, or its scenario
+            cannot be found or read, or it is not the one that was driven.
+    """
+    found = find_recorded(run, scenario, arms, source)
+    if found.scenario is None:
+        raise FileError(f"nothing was driven of {scenario} in {run}: {found.rows[0].error}")
+    vehicle = VehicleParameters()
+    takes = {
+        row.arm: _take(
+            found.scenario,
+            row,
+            None if recording is None else Drive(found.scenario, row, recording, vehicle),
+        )
+        for row, recording in zip(found.rows, found.recordings, strict=True)
+    }
+    title = _title(scenario, found.manifest["planner"], found.manifest["predictor"])
+    return [takes[arm] for arm in ARMS_SIDE_BY_SIDE if arm in takes], title
+
+
+def takes_of_drive(
+    ref: ScenarioRef, planner: str, predictor: str, arms: Sequence[Arm], seed: int
+) -> Takes:
+    """Drives a scenario, in this process.
+
+    Args:
+        ref: The scenario.
+        planner: Planner, as ``dosplan.plugins.registry`` finds it.
+        predictor: Predictor, likewise.
+        arms: Arms to drive.
+        seed: Seed of everything random.
+
+    Returns:
+        A take for each arm.
+
+    Raises:
+        RegistryError: There is no such plug-in.
+        ScenarioError: The scenario cannot be read.
+    """
+    driver, foreteller = create_planner(planner, seed), create_predictor(predictor, seed)
+    scenario, vehicle = load_scenario(ref), VehicleParameters()
+    takes = []
+    with TemporaryDirectory() as folder:
+        for arm in (arm for arm in ARMS_SIDE_BY_SIDE if arm in arms):
+            driven = run_episode(scenario, driver, foreteller, arm)
+            path = Path(folder) / f"{arm}.npz"
+            write_bytes(path, pack_recording(driven.episode, vehicle))
+            drive = Drive(scenario, driven.score, load_recording(path), vehicle)
+            takes.append(_take(scenario, driven.score, drive))
+    return takes, _title(ref.id, driver.name, foreteller.name)
+
+
+def takes_of_scenario(ref: ScenarioRef) -> Takes:
+    """The recorded traffic, with the ego at its start.
+
+    Args:
+        ref: The scenario.
+
+    Returns:
+        One take.
+
+    Raises:
+        ScenarioError: The scenario cannot be read.
+    """
+    return [Take("recorded traffic", EGO_COLOUR, load_scenario(ref))], ref.id
+
+
+def _take(scenario: Scenario, row: Score, drive: Drive | None) -> Take:
+    return Take(ARM_TITLES[row.arm], ARM_COLOURS[row.arm], scenario, row, drive)
+
+
+def _title(scenario: str, planner: str, predictor: str) -> str:
+    return f"{scenario}  \N{MIDDLE DOT}  {planner} with {predictor}"

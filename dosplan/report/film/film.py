@@ -1,0 +1,155 @@
+"""An episode as a film: a panel for each drive, every step a picture.
+
+What stands still (road, goal, frame, legend) is drawn once; a picture is a copy of that with what
+moves drawn on top. Everything is placed in pixels, so that a picture has a known size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from dosplan.report.film.drives import Take
+from dosplan.report.film.framing import Framing, frame_scene
+from dosplan.report.film.layers import INK, SET_COLOURS
+from dosplan.report.film.panel import USER_COLOURS, Panel
+from dosplan.report.film.scene import GOAL_COLOUR
+from dosplan.types import STEP_SECONDS, Outcome
+
+Picture = npt.NDArray[np.uint8]
+"""(height, width, 3) red, green and blue."""
+
+_FAINT: Final = "#626b76"
+_RAMP: Final = 110.0  # Pixels; width of the scale of colours.
+_TEXT: Final = 9.0  # Points.
+_KEY: Final = 112.0  # Pixels; about the width of a key of the legend.
+
+
+class Film:
+    """The pictures of an episode.
+
+    Attributes:
+        size: Width and height of a picture, pixels.
+        steps: The step of each picture.
+        moment: Step of the outcome: the first that went wrong, else the last.
+        panels: One for each take.
+    """
+
+    def __init__(self, takes: Sequence[Take], title: str, scale: float = 1.0) -> None:
+        """Draws what stands still.
+
+        Args:
+            takes: What is shown, side by side: one take or two of one scenario.
+            title: A line above it all.
+            scale: Pixels of a picture's pixel: 2 is as large again, and as sharp.
+        """
+        framing = frame_scene(
+            [take.ego[:, :2] for take in takes], takes[0].scenario, stand=takes[0].row is None
+        )
+        width, height = framing.size
+        self._figure = Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0 * scale)
+        self._figure.set_facecolor("white")
+        self._canvas: Any = FigureCanvasAgg(self._figure)  # Its methods have no types.
+        self.size = self._canvas.get_width_height()
+        self.steps = range(min(t.start for t in takes), max(t.end for t in takes) + 1)
+        failed = [t.moment for t in takes if t.row and t.row.outcome is not Outcome.SUCCESS]
+        self.moment = min(failed) if failed else max(take.moment for take in takes)
+        self.panels = [
+            Panel(self._figure, take, framing, index) for index, take in enumerate(takes)
+        ]
+        self._figure.text(
+            framing.left / width,
+            framing.title / height,
+            title,
+            size=_TEXT,
+            color=_FAINT,
+            va="center",
+        )
+        self._draw_legend(framing, takes)
+        self._draw_ramp(framing, takes)
+        self._still: Any = None
+
+    def picture(self, step: int) -> Picture:
+        """Draws a step.
+
+        Args:
+            step: One of ``steps``.
+
+        Returns:
+            The picture.
+        """
+        moved = [panel.aim(step) for panel in self.panels]
+        if self._still is None or any(moved):
+            self._canvas.draw()
+            self._still = self._canvas.copy_from_bbox(self._figure.bbox)
+        self._canvas.restore_region(self._still)
+        for panel in self.panels:
+            panel.show(step)
+            for artist in panel.moving:
+                panel.axes.draw_artist(artist)
+        return np.array(self._canvas.buffer_rgba())[..., :3]
+
+    def _draw_legend(self, framing: Framing, takes: Sequence[Take]) -> None:
+        width, height = framing.size
+        kinds = {kind for panel in self.panels for kind in panel.kinds_in_view()}
+        keys: list[Artist] = [
+            Patch(
+                facecolor=take.colour,
+                edgecolor=INK,
+                linewidth=0.6,
+                label="ego at its start" if take.row is None else f"ego {take.name}",
+            )
+            for take in takes
+        ]
+        if any(take.drive is not None for take in takes):
+            keys += [
+                Line2D([], [], color=INK, linewidth=2.2, label="driven"),
+                Line2D([], [], color=INK, linewidth=1.2, marker="o", markersize=2.5, label="plan"),
+            ]
+        keys += [
+            Line2D([], [], color=GOAL_COLOUR, linewidth=1.2, alpha=0.6, label="route"),
+            Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
+        ]
+        keys += [
+            Patch(facecolor=colour, edgecolor=INK, linewidth=0.4, label=kind.value)
+            for kind, colour in USER_COLOURS.items()
+            if kind in kinds
+        ]
+        self._figure.legend(
+            handles=keys,
+            loc="upper left",
+            bbox_to_anchor=(framing.left / width, framing.legend / height),
+            ncols=int(width // _KEY),
+            frameon=False,
+            fontsize=_TEXT,
+            handlelength=1.5,
+            columnspacing=1.4,
+            borderaxespad=0.0,
+            borderpad=0.1,
+        )
+
+    def _draw_ramp(self, framing: Framing, takes: Sequence[Take]) -> None:
+        """The scale of the sets' colours, in the upper right corner."""
+        offsets = [take.drive.recording.set_offsets for take in takes if take.drive is not None]
+        ahead = STEP_SECONDS * np.concatenate([np.empty(0), *offsets])
+        if not len(ahead):
+            return
+        width, height = framing.size
+        left, low = width - framing.left - _RAMP - 28.0, framing.title - 4.0
+        axes = self._figure.add_axes((left / width, low / height, _RAMP / width, 8.0 / height))
+        axes.imshow(np.linspace(0.0, 1.0, 64)[None], cmap=SET_COLOURS, aspect="auto")
+        axes.set_axis_off()
+        first = f"predicted set or position, ahead by  {ahead.min():g}"
+        for x, text, align in ((-0.04, first, "right"), (1.04, f"{ahead.max():g} s", "left")):
+            axes.text(
+                x, 0.45, text, ha=align, va="center", size=_TEXT, color=_FAINT,
+                transform=axes.transAxes,
+            )  # fmt: skip

@@ -1,0 +1,245 @@
+"""One drive, drawn from above, step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+
+from dosplan.report.film.drives import Take
+from dosplan.report.film.framing import Framing
+from dosplan.report.film.layers import INK, Bodies, Sets, Users, on_scene
+from dosplan.report.film.scene import KIND_COLOURS, draw_map, draw_task
+from dosplan.types import FloatArray, Outcome, RoadUserKind
+from dosplan.vehicle import VehicleParameters
+
+_GREY: Final = "#b4bac2"
+_OWN: Final = 0.4  # Road users are toned down, so that the ego stands out.
+
+
+def _toned(colour: str) -> str:
+    parts = zip(to_rgb(colour), to_rgb(_GREY), strict=True)
+    red, green, blue = (_OWN * own + (1.0 - _OWN) * grey for own, grey in parts)
+    return to_hex((red, green, blue))
+
+
+USER_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
+    {kind: _toned(colour) for kind, colour in KIND_COLOURS.items()}
+)
+"""Fill colour of each kind of road user."""
+
+_GOOD, _BAD = "#2e7d32", "#c4161c"
+_SET_METRES: Final = 40.0  # Sets of road users that are farther from the ego are left out.
+_BAR: Final = 20.0  # m
+_AHEAD: Final = 0.4  # Of the way to the border: more road is in view before the ego than behind.
+_TEXT: Final = 11.0  # Points.
+
+
+class Panel:
+    """One drive, drawn from above.
+
+    Attributes:
+        take: What it shows.
+        axes: Where; in metres of the scenario's frame.
+        moving: What is drawn anew for every picture, from below to above.
+    """
+
+    def __init__(self, figure: Figure, take: Take, framing: Framing, index: int) -> None:
+        """Draws what stands still.
+
+        Args:
+            figure: Where to draw.
+            take: What to show.
+            framing: What is in view, and where it goes.
+            index: Which of the panels this is.
+        """
+        self.take, self._framing = take, framing
+        width, height = framing.size
+        left, bottom, wide, high = framing.panels[index]
+        self.axes = figure.add_axes((left / width, bottom / height, wide / width, high / height))
+        self.axes.set_xticks([])
+        self.axes.set_yticks([])
+        for spine in self.axes.spines.values():
+            spine.set(color="#c9ced4", linewidth=0.8)
+        draw_map(self.axes, take.scenario)
+        draw_task(self.axes, take.scenario)
+        self._aimed: FloatArray | None = None
+        self.aim(take.start)
+        self._draw_bar(wide, high)
+        self._heading(0.0, take.name, color=take.colour, weight="bold", ha="left")
+        self._make_layers()
+
+    def aim(self, step: int) -> bool:
+        """Turns the view to where it has to be.
+
+        Args:
+            step: A step.
+
+        Returns:
+            Whether it moved.
+        """
+        centre, reach = self._centre(step), self._framing.reach
+        if self._aimed is not None and np.array_equal(centre, self._aimed):
+            return False
+        self._aimed = centre
+        self.axes.set_xlim(centre[0] - reach[0], centre[0] + reach[0])
+        self.axes.set_ylim(centre[1] - reach[1], centre[1] + reach[1])
+        return True
+
+    def show(self, step: int) -> None:
+        """Moves what moves.
+
+        Args:
+            step: A step; a drive that is over stands still.
+        """
+        take = self.take
+        now = min(max(step, take.start), take.end)
+        index = self._index(now)
+        pose, velocity = take.ego[index, :3], take.ego[index, 3]
+        decided = take.row is not None and now >= take.moment
+        struck = take.row.collision_with if take.row is not None and decided else None
+        self._users.show_step(now, {} if struck is None else {struck: _BAD})
+        self._ego.show(pose[None], np.array([VehicleParameters().size]), [take.colour])
+        self._driven.set_data(*take.ego[: index + 1, :2].T)
+        self._show_cycle(now, pose)
+        speed = f"     {velocity:.1f} m/s" if take.row is not None else ""
+        self._clock.set_text(f"{take.seconds(now):.1f} s{speed}")
+        self._verdict.set_visible(decided)
+        for mark in self._marks:
+            mark.set_visible(decided)
+
+    def kinds_in_view(self) -> set[RoadUserKind]:
+        """Kinds of the road users that come into view."""
+        tracks, reach = self.take.scenario.tracks, self._framing.reach
+        found = set()
+        for step in range(self.take.start, self.take.end + 1):
+            here = on_scene(tracks, step)
+            if len(here):
+                away = np.abs(tracks.states[here, step, :2] - self._centre(step))
+                found |= {tracks.kinds[user] for user in here[(away < reach).all(axis=-1)]}
+        return found
+
+    def _centre(self, step: int) -> FloatArray:
+        """(2,) middle of the view, m."""
+        if not self._framing.follows:
+            return self._framing.centre
+        pose = self.take.ego[self._index(step), :3]
+        ahead = np.array([np.cos(pose[2]), np.sin(pose[2])])
+        return np.asarray(pose[:2] + _AHEAD * self._framing.reach * ahead)
+
+    def _index(self, step: int) -> int:
+        """Row of ``take.ego`` at a step."""
+        return min(max(step - self.take.start, 0), len(self.take.ego) - 1)
+
+    def _show_cycle(self, step: int, pose: FloatArray) -> None:
+        """Shows the plan and the sets that held at a step."""
+        drive = self.take.drive
+        if drive is None:
+            return
+        cycle = int(np.searchsorted(drive.recording.cycle_steps, step, side="right")) - 1
+        if cycle < 0:
+            return
+        recording = drive.recording
+        self._plan.set_data(*recording.plan_centres[cycle].T)
+        tracks = self.take.scenario.tracks
+        here = on_scene(tracks, step)
+        near = np.linalg.norm(
+            tracks.states[here, min(step, tracks.steps - 1), :2] - pose[:2], axis=-1
+        )
+        kept = (recording.set_cycle == cycle) & np.isin(
+            recording.set_ids, tracks.ids[here[near < _SET_METRES]]
+        )
+        offsets = recording.set_offsets
+        span = max(int(np.ptp(offsets)), 1) if len(offsets) else 1
+        shares = np.broadcast_to((offsets - offsets[:1]) / span, (int(kept.sum()), len(offsets)))
+        self._sets.show(
+            recording.set_centres[kept].reshape(-1, 2),
+            recording.set_semi_axes[kept].reshape(-1, 2),
+            recording.set_angles[kept].reshape(-1),
+            shares.reshape(-1),
+        )
+
+    def _make_layers(self) -> None:
+        axes, take = self.axes, self.take
+        self._sets = Sets(axes, zorder=4)
+        self._users = Users(axes, take.scenario.tracks, USER_COLOURS, zorder=6)
+        (self._driven,) = axes.plot([], [], color=take.colour, linewidth=2.2, zorder=5)
+        (self._plan,) = axes.plot(
+            [],
+            [],
+            color=take.colour,
+            linewidth=1.2,
+            marker="o",
+            markersize=2.2,
+            markevery=5,
+            zorder=7,
+        )
+        self._ego = Bodies(axes, zorder=8, line=1.0)
+        good = take.row is not None and take.row.outcome is Outcome.SUCCESS
+        colour = _GOOD if good else _BAD
+        shape, extent = ("o", 26.0) if good else ("x", 15.0)  # Points.
+        self._marks = [
+            axes.plot(
+                *take.place[:, None],
+                marker=shape,
+                markersize=extent,
+                color="none",
+                markerfacecolor="none",
+                markeredgecolor=edge,
+                markeredgewidth=line,
+                zorder=9,
+            )[0]
+            for edge, line in (("white", 5.5), (colour, 3.0))
+        ]
+        self._clock = self._heading(1.0, "", color=INK, ha="right")
+        self._verdict = axes.text(
+            0.5,
+            0.965,
+            take.verdict,
+            transform=axes.transAxes,
+            ha="center",
+            va="top",
+            size=_TEXT,
+            weight="bold",
+            color="white",
+            bbox={"boxstyle": "round,pad=0.35", "facecolor": colour, "edgecolor": "white"},
+            zorder=10,
+        )
+        self.moving: list[Artist] = [
+            *self._sets.artists,
+            self._driven,
+            *self._users.artists,
+            self._plan,
+            *self._ego.artists,
+            *self._marks,
+            self._clock,
+            self._verdict,
+        ]
+        for artist in self.moving:
+            artist.set_animated(True)
+
+    def _heading(self, x: float, text: str, **style: Any) -> Annotation:
+        return self.axes.annotate(
+            text, (x, 1.0), xytext=(0, 4), xycoords="axes fraction", textcoords="offset points",
+            va="bottom", size=_TEXT, annotation_clip=False, **style,
+        )  # fmt: skip
+
+    def _draw_bar(self, wide: float, high: float) -> None:
+        """A scale in the lower left corner."""
+        long = _BAR / (2.0 * self._framing.reach[0])
+        left, low = 12.0 / wide, 12.0 / high
+        axes = self.axes
+        axes.plot(
+            [left, left + long], [low, low], color=INK, linewidth=1.6, zorder=9,
+            transform=axes.transAxes, solid_capstyle="butt",
+        )  # fmt: skip
+        axes.text(
+            left + 0.5 * long, low + 4.0 / high, f"{_BAR:.0f} m", ha="center", va="bottom",
+            size=8.0, transform=axes.transAxes, zorder=9,
+        )  # fmt: skip

@@ -1,0 +1,174 @@
+"""Draws a scene from above: map, road users, the ego and its task; import it only to draw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+import shapely
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Patch, PathPatch
+from matplotlib.path import Path as Outline
+from shapely.geometry import MultiPolygon, Polygon
+
+from dosplan.report.film.layers import INK, Bodies, Users, on_scene
+from dosplan.types import Arm, FloatArray, GoalState, RoadUserKind, Scenario
+from dosplan.vehicle import VehicleParameters
+
+KIND_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
+    {
+        RoadUserKind.CAR: "#0072b2",
+        RoadUserKind.TRUCK: "#e69f00",
+        RoadUserKind.BUS: "#8c510a",
+        RoadUserKind.TRAIN: "#4d004b",
+        RoadUserKind.MOTORCYCLE: "#cc79a7",
+        RoadUserKind.BICYCLE: "#6a3d9a",
+        RoadUserKind.PEDESTRIAN: "#f0c800",
+        RoadUserKind.PARKED: "#8a8a8a",
+        RoadUserKind.STATIC: "#4d4d4d",
+        RoadUserKind.UNKNOWN: "#bdbdbd",
+    }
+)
+"""Fill colour of each kind of road user; most are from Okabe and Ito's palette."""
+
+EGO_COLOUR: Final = "#d7191c"
+ARM_COLOURS: Final = MappingProxyType({Arm.WITHOUT_DOS: "#d55e00", Arm.WITH_DOS: "#0072b2"})
+"""Colour of each arm, and of the ego in it; pages have the same."""
+
+GOAL_COLOUR: Final = "#1a9641"
+_ROAD, _MARKING, _KERB = "#dfe1e0", "#ffffff", "#9b9b95"
+_MARGIN = 30.0
+_TRAIL = 10  # Steps, a second.
+_BAR = 20.0
+
+
+def draw_scene(axes: Axes, scenario: Scenario, step: int) -> None:
+    """Draws a scene at a step, with the ego at its start.
+
+    The view shows the ego's start and its goal; set the axes' limits afterwards for another one.
+
+    Args:
+        axes: Where to draw; their limits, ticks and aspect are set.
+        scenario: The scene.
+        step: Step of the recording at which the road users are shown, each of them trailing the
+            second before.
+    """
+    draw_map(axes, scenario)
+    draw_task(axes, scenario)
+    _draw_trails(axes, scenario, step)
+    Users(axes, scenario.tracks, KIND_COLOURS, zorder=6).show_step(step)
+    _draw_ego(axes, scenario)
+    _set_view(axes, scenario)
+
+
+def legend_handles(*scenarios: Scenario) -> list[Patch]:
+    """Keys for a legend.
+
+    Args:
+        scenarios: What is drawn.
+
+    Returns:
+        The ego, the goal and every kind of road user that occurs, in a fixed order.
+    """
+    present = {kind for scenario in scenarios for kind in scenario.tracks.kinds}
+    return [
+        Patch(facecolor=EGO_COLOUR, edgecolor=INK, label="ego"),
+        Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
+        *(
+            Patch(facecolor=colour, edgecolor=INK, label=kind.value)
+            for kind, colour in KIND_COLOURS.items()
+            if kind in present
+        ),
+    ]
+
+
+def _patch(area: Polygon | MultiPolygon) -> Outline:
+    """The outline of an area; its holes turn against it, or they would be filled."""
+    rings = [
+        np.asarray(ring.coords)
+        for polygon in shapely.get_parts(shapely.orient_polygons(area))
+        for ring in (polygon.exterior, *polygon.interiors)
+    ]
+    return Outline.make_compound_path(*(Outline(ring, closed=True) for ring in rings))
+
+
+def draw_map(axes: Axes, scenario: Scenario) -> None:
+    """Draws the road.
+
+    Args:
+        axes: Where to draw.
+        scenario: The scene.
+    """
+    road_map = scenario.road_map
+    road = _patch(road_map.drivable)
+    axes.add_patch(PathPatch(road, facecolor=_ROAD, edgecolor="none", zorder=1))
+    bounds = [line for lanelet in road_map.lanelets for line in (lanelet.left, lanelet.right)]
+    axes.add_collection(LineCollection(bounds, colors=_MARKING, linewidths=0.7, zorder=2))
+    axes.add_patch(PathPatch(road, facecolor="none", edgecolor=_KERB, linewidth=0.8, zorder=2))
+
+
+def draw_task(axes: Axes, scenario: Scenario) -> None:
+    """Draws the way to the goal, and the goal.
+
+    Args:
+        axes: Where to draw.
+        scenario: The scene.
+    """
+    task = scenario.task
+    axes.plot(*task.route.path.T, color=GOAL_COLOUR, linewidth=1.2, alpha=0.6, zorder=3)
+    for region in filter(None, (goal.region for goal in task.goals)):
+        axes.add_patch(
+            PathPatch(
+                _patch(region), facecolor=GOAL_COLOUR, edgecolor=GOAL_COLOUR, alpha=0.35, zorder=3
+            )
+        )
+
+
+def _draw_trails(axes: Axes, scenario: Scenario, step: int) -> None:
+    tracks = scenario.tracks
+    users, begin = on_scene(tracks, step), max(0, step - _TRAIL)
+    trails = [tracks.states[u, begin : step + 1][tracks.valid[u, begin : step + 1]] for u in users]
+    colours = [KIND_COLOURS[tracks.kinds[u]] for u in users]
+    lines = [states[:, :2] for states in trails]
+    axes.add_collection(LineCollection(lines, colors=colours, linewidths=1.0, alpha=0.5, zorder=5))
+
+
+def _draw_ego(axes: Axes, scenario: Scenario) -> None:
+    vehicle = VehicleParameters()
+    poses = vehicle.poses(scenario.task.start[None])
+    Bodies(axes, zorder=8, line=0.6).show(poses, np.array([vehicle.size]), [EGO_COLOUR])
+
+
+def _set_view(axes: Axes, scenario: Scenario) -> None:
+    task = scenario.task
+    points = [VehicleParameters().centre(task.start)[None], *map(_corners, task.goals)]
+    low, high = np.min(np.vstack(points), axis=0), np.max(np.vstack(points), axis=0)
+    middle, reach = 0.5 * (low + high), 0.5 * float(np.max(high - low)) + _MARGIN
+    left, bottom = middle - reach
+    axes.set_xlim(left, left + 2.0 * reach)
+    axes.set_ylim(bottom, bottom + 2.0 * reach)
+    axes.set_aspect("equal")
+    axes.set_xticks([])
+    axes.set_yticks([])
+    start, level = left + 0.04 * reach, bottom + 0.05 * reach
+    axes.plot([start, start + _BAR], [level, level], color=INK, linewidth=1.5, zorder=9)
+    axes.text(
+        start + 0.5 * _BAR,
+        level,
+        f"{_BAR:.0f} m",
+        ha="center",
+        va="bottom",
+        size=7,
+        zorder=9,
+        clip_on=True,
+    )
+
+
+def _corners(goal: GoalState) -> FloatArray:
+    """(V, 2) corners of the box around a goal's region, m; none where it has no region."""
+    if goal.region is None:
+        return np.zeros((0, 2))
+    return np.reshape(goal.region.bounds, (2, 2))

@@ -1,0 +1,144 @@
+"""The scenario files of a run, as far as they are still there, and what they are grouped by."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from dosplan.results.recording import Recording
+from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
+from dosplan.scenario.sources.catalogue import SUITE
+from dosplan.types import Scenario
+
+ROAD_TAGS: Final = (
+    "roundabout",
+    "intersection",
+    "slip_road",
+    "merging_lanes",
+    "highway",
+    "interstate",
+    "rural",
+    "urban",
+)
+"""Tags that say what road a recording is of; the first that a scenario has is its road kind."""
+
+OTHER: Final = "other"
+_SAME: Final = 1e-3  # m, rad and m/s; a reader of another version may round otherwise.
+SMALLEST_FAMILY: Final = 4
+"""A place with fewer scenarios is counted with its country."""
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """Where a run's scenarios are to be had.
+
+    Attributes:
+        refs: The files by id; those that were not found are left out.
+        road_kinds: Road kinds by id, where a list of them comes with the files.
+        problem: Why nothing was found, in a line, or None.
+        cached: Whether parsed scenarios are taken from the cache and put there.
+    """
+
+    refs: Mapping[str, ScenarioRef]
+    road_kinds: Mapping[str, str]
+    problem: str | None = None
+    cached: bool = True
+
+    def load(self, scenario: str) -> Scenario | None:
+        """Reads a scenario.
+
+        Args:
+            scenario: Its id.
+
+        Returns:
+            The scenario, or None where its file is gone or cannot be used.
+        """
+        ref = self.refs.get(scenario)
+        if ref is None:
+            return None
+        try:
+            return load_scenario(ref, cached=self.cached)
+        except ScenarioError:
+            return None
+
+    def road_kind(self, scenario: str, scene: Scenario | None) -> str:
+        """Names the kind of road.
+
+        Args:
+            scenario: Id of the scenario.
+            scene: The scenario, or None where it is not there.
+
+        Returns:
+            The suite's own word, or the first of ``ROAD_TAGS``, or ``other``.
+        """
+        tags = frozenset[str]() if scene is None else scene.tags
+        tag = next((tag for tag in ROAD_TAGS if tag in tags), OTHER)
+        return self.road_kinds.get(scenario, tag.replace("_", " "))
+
+
+def find_scenes(source: str, cached: bool) -> Scenes:
+    """Looks for the scenarios of a run.
+
+    Args:
+        source: Where they are, as ``dosplan run`` takes it.
+        cached: Whether to use the cache of parsed scenarios.
+
+    Returns:
+        What is there; a source that is gone is no error.
+    """
+    try:
+        refs = find_scenarios(source)
+    except (ScenarioError, OSError) as error:
+        return Scenes({}, {}, " ".join(str(error).split()), cached)
+    kinds = _suite_road_kinds(refs[0].path.parents[1]) if source == SUITE else {}
+    return Scenes({ref.id: ref for ref in refs}, kinds, cached=cached)
+
+
+def is_of(recording: Recording, scene: Scenario) -> bool:
+    """Whether a recording was driven in this scenario: it starts where the task does.
+
+    Args:
+        recording: The recording.
+        scene: A scenario of the same id, perhaps read from a file that has changed since.
+
+    Returns:
+        Whether step and state at the start agree, the state within ``_SAME``.
+    """
+    task = scene.task
+    return recording.start_step == task.start_step and bool(
+        np.allclose(recording.states[0], task.start, rtol=0.0, atol=_SAME)
+    )
+
+
+def families(scenarios: Sequence[str]) -> dict[str, str]:
+    """Sorts scenarios by where they come from, as their ids tell.
+
+    Args:
+        scenarios: Ids, such as ``USA_Lanker-2_25_T-1``.
+
+    Returns:
+        For each id its place (``USA_Lanker``), or its country (``USA``) where the place has fewer
+        than ``SMALLEST_FAMILY`` scenarios.
+    """
+    places = {scenario: _place(scenario) for scenario in scenarios}
+    sizes = Counter(places.values())
+    return {
+        scenario: place if sizes[place] >= SMALLEST_FAMILY else place.partition("_")[0]
+        for scenario, place in places.items()
+    }
+
+
+def _place(scenario: str) -> str:
+    return scenario.removeprefix("C-").partition("-")[0]
+
+
+def _suite_road_kinds(folder: Path) -> dict[str, str]:
+    with (folder / "manifest.csv").open(newline="", encoding="utf-8") as file:
+        rows: Iterable[Mapping[str, str]] = csv.DictReader(file)
+        return {row["id"]: row["road_kind"] for row in rows}

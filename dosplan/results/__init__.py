@@ -1,0 +1,1 @@
+"""The run folder: manifest, rows, recordings, and what is computed from them."""

@@ -1,0 +1,61 @@
+"""The solutions of a run: ``solutions/<scenario>.<arm>.xml`` for CommonRoad's tools and site.
+
+They follow from the episode files, so they can be asked for when a run is done, too. The planning
+problems of one scenario file are in one solution, as CommonRoad has it; a problem of which nothing
+was driven is missing there.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from dosplan.results.folder import RunFolder
+from dosplan.results.recording import load_recording
+from dosplan.scenario import ScenarioRef
+from dosplan.scenario.commonroad.solution import Drive, solution_xml
+from dosplan.system.files import file_name, write_bytes
+from dosplan.types import Arm
+
+
+def write_solutions(folder: RunFolder, refs: Iterable[ScenarioRef], arms: Sequence[Arm]) -> None:
+    """Writes a solution for each scenario file and arm of which an episode was driven.
+
+    Args:
+        folder: The run folder, with its episode files.
+        refs: The scenarios of the run.
+        arms: Its arms.
+
+    Raises:
+        FileError: An episode file cannot be read, or a solution cannot be written.
+        ScenarioError: A scenario file that was driven cannot be read any more.
+    """
+    by_file: defaultdict[Path, list[ScenarioRef]] = defaultdict(list)
+    for ref in refs:
+        by_file[ref.path].append(ref)
+    for path, problems in by_file.items():
+        name = file_name(problems[0].scenario)
+        for arm in arms:
+            files = {ref.problem_id: folder.recording(ref.id, arm) for ref in problems}
+            driven = {problem: file for problem, file in files.items() if file.is_file()}
+            if driven:
+                drives = {problem: _drive(file) for problem, file in driven.items()}
+                date = max(_written(file) for file in driven.values())
+                place = folder.path / "solutions" / f"{name}.{arm.value}.xml"
+                write_bytes(place, solution_xml(path, drives, date))
+
+
+def _drive(file: Path) -> Drive:
+    recording = load_recording(file)
+    return Drive(
+        start_step=recording.start_step,
+        states=recording.states,
+        inputs=recording.inputs,
+        seconds=1e-3 * float(recording.cycle_ms.sum()),
+    )
+
+
+def _written(file: Path) -> datetime:
+    return datetime.fromtimestamp(file.stat().st_mtime, UTC)

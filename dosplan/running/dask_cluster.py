@@ -1,0 +1,250 @@
+"""Drives episodes on a Dask cluster: many machines, and one runner that writes.
+
+Each thread of a Dask worker drives in an ``EpisodeProcess`` of its own, so that an episode meets
+the same isolation and gives the same row as on one machine. The scenario is read where it is
+driven; its row and files travel back. When a Dask worker dies, the scheduler hands its episodes to
+another one.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterable, Iterator
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from threading import Lock
+from typing import Any, Final
+
+from dosplan import __version__
+from dosplan.plugins.registry import source_files
+from dosplan.running.config import RunConfig, RunError
+from dosplan.running.executor import Results, Task
+from dosplan.running.job import EpisodeResult
+from dosplan.running.process import EpisodeProcess
+from dosplan.scenario import ScenarioRef
+from dosplan.scoring.score import failed_score
+from dosplan.system.errors import one_line
+from dosplan.system.workers import WORKER_ENVIRONMENT
+from dosplan.types import Arm
+
+try:
+    import dask
+    import distributed
+    from distributed import as_completed
+    from distributed.client import ClosedClientError
+    from distributed.scheduler import KilledWorker
+except ImportError as error:
+    raise RunError(f"--cluster needs Dask ({error}); pip install 'dosplan[cluster]'") from error
+
+_LOCAL: Final = "local:"
+_WINDOW: Final = 2000  # Episodes that the scheduler holds at a time.
+_RETRIES: Final = 2  # For a machine that cannot start processes; another one may.
+_CONNECT_SECONDS: Final = 15.0
+_CLOSE_SECONDS: Final = 1.0
+_WORKER_NAME: Final = "Dask Worker process"
+
+
+class DaskExecutor:
+    """Drives on the workers of a Dask cluster."""
+
+    def __init__(self, config: RunConfig, address: str) -> None:
+        """Connects to nothing yet.
+
+        Args:
+            config: The run.
+            address: Address of the scheduler, such as ``tcp://host:8786``, or ``local:N`` for N
+                workers on this machine.
+
+        Raises:
+            RunError: It is not such an address.
+        """
+        count = address.removeprefix(_LOCAL)
+        if address.startswith(_LOCAL) and not (count.isdecimal() and int(count) > 0):
+            raise RunError(f"cluster is {address!r}; local: takes a number of workers, as local:4")
+        # A worker stands in another folder.
+        self._config = replace(
+            config, planner=_absolute(config.planner), predictor=_absolute(config.predictor)
+        )
+        self._address = address
+
+    def drive(self, tasks: Iterable[Task]) -> Results:
+        """Drives episodes, as ``Executor`` says."""
+        source = iter(tasks)
+        pending: dict[str, Task] = {}
+        _silence_dask()
+        with _connected(self._address) as client:
+            results: Any = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
+
+            def hand_out(count: int) -> None:
+                for ref, arm in islice(source, count):
+                    place = replace(ref, path=ref.path.absolute())
+                    future = client.submit(
+                        _drive, place, arm, self._config, __version__, pure=False, retries=_RETRIES
+                    )
+                    pending[future.key] = ref, arm
+                    results.add(future)
+
+            try:
+                hand_out(_WINDOW)
+                for future in results:
+                    task = pending.pop(future.key)
+                    hand_out(1)
+                    yield task, self._result(future, task)
+            except (OSError, CancelledError, ClosedClientError) as error:
+                raise RunError(
+                    f"lost the Dask scheduler at {self._address}; what was driven is kept, "
+                    "and the same command resumes when a scheduler is there"
+                ) from error
+            finally:
+                _stop_driving(client)
+
+    def _result(self, future: Any, task: Task) -> EpisodeResult:
+        if future.cancelled():  # Nobody cancels but the client that has lost its scheduler.
+            raise CancelledError
+        error = future.exception()
+        if error is None:
+            result: EpisodeResult = future.result()
+            return result
+        if isinstance(error, KilledWorker):
+            ref, arm = task
+            return EpisodeResult(
+                failed_score(ref.id, arm, "every Dask worker that drove the episode died")
+            )
+        if isinstance(error, RunError):
+            raise error
+        raise RunError(f"a Dask worker cannot drive episodes: {one_line(error)}") from error
+
+
+@dataclass
+class _Processes:
+    """The episode processes of a Dask worker, all of one run."""
+
+    lock: Lock = field(default_factory=Lock)
+    config: RunConfig | None = None
+    idle: list[EpisodeProcess] = field(default_factory=list)
+    busy: list[EpisodeProcess] = field(default_factory=list)
+
+    @contextmanager
+    def borrowed(self, config: RunConfig) -> Iterator[EpisodeProcess]:
+        """Lends a process of a run; those of an earlier run are ended."""
+        with self.lock:
+            if config != self.config:
+                self._close_idle()
+                self.config = config
+            process = self.idle.pop() if self.idle else EpisodeProcess(config)
+            self.busy.append(process)
+        try:
+            yield process
+        finally:
+            with self.lock:
+                self.busy.remove(process)
+                if config == self.config:
+                    self.idle.append(process)
+                else:
+                    process.close()
+
+    def stop(self) -> None:
+        """Ends every process, whatever it is doing."""
+        with self.lock:
+            self.config = None
+            self._close_idle()
+            for process in self.busy:
+                process.stop()
+
+    def _close_idle(self) -> None:
+        while self.idle:
+            self.idle.pop().close()
+
+
+_PROCESSES: Final = _Processes()
+
+
+def _drive(ref: ScenarioRef, arm: Arm, config: RunConfig, version: str) -> EpisodeResult:
+    """Drives an episode; runs in a thread of a Dask worker."""
+    if version != __version__:
+        raise RunError(f"a Dask worker has dosplan {__version__} and the runner {version}")
+    if multiprocessing.current_process().daemon:
+        raise RunError(
+            "the Dask workers are daemons, which may start no process; start them with "
+            "--no-nanny, or with DASK_DISTRIBUTED__WORKER__DAEMON=False in their environment"
+        )
+    os.environ.update(WORKER_ENVIRONMENT)
+    with _PROCESSES.borrowed(config) as process:
+        return process.drive(ref, arm)
+
+
+async def _stop_processes() -> None:
+    """Ends the episode processes; runs in each Dask worker."""
+    _PROCESSES.stop()
+
+
+def _stop_driving(client: Any) -> None:
+    """Tells the workers to let go of the run, without waiting for them."""
+    if client.status == "running":
+        with suppress(OSError):  # The cluster may be on its way out, too.
+            client.run(_stop_processes, wait=False)
+
+
+def dask_setup(_: Any) -> None:
+    """Keeps Ctrl-C from a worker of a local cluster, which is the runner's to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """A client of the cluster, which is started first where it is a local one."""
+    with ExitStack() as stack:
+        if address.startswith(_LOCAL):
+            count = int(address.removeprefix(_LOCAL))
+            address = stack.enter_context(_local_cluster(count))
+        try:
+            client = distributed.Client(  # type: ignore[no-untyped-call]
+                address, timeout=_CONNECT_SECONDS, set_as_default=False
+            )
+        except (OSError, ValueError) as error:
+            raise RunError(f"no Dask scheduler answers at {address} ({one_line(error)})") from error
+        stack.callback(client.close, timeout=_CLOSE_SECONDS)
+        yield client
+
+
+@contextmanager
+def _local_cluster(workers: int) -> Iterator[str]:
+    """Starts a scheduler and workers on this machine; its address."""
+    with dask.config.set({"distributed.worker.daemon": False}):
+        cluster = distributed.LocalCluster(  # type: ignore[no-untyped-call]
+            n_workers=workers,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            memory_limit=0,  # An episode's process has a limit of its own.
+            silence_logs=logging.CRITICAL,
+            preload=__name__,  # For ``dask_setup``.
+        )
+        try:
+            yield str(cluster.scheduler_address)
+        finally:
+            with suppress(OSError):
+                cluster.close(timeout=_CLOSE_SECONDS)
+            for child in multiprocessing.active_children():
+                if child.name.startswith(_WORKER_NAME):  # What did not end in time.
+                    child.kill()
+
+
+def _silence_dask() -> None:
+    """Keeps Dask's log lines off the console: what matters of them becomes one line of ours.
+
+    For good, since its threads go on to complain when the run is over.
+    """
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
+def _absolute(spec: str) -> str:
+    files = source_files(spec)
+    return f"{files[0].absolute()}:{spec.rpartition(':')[2]}" if files else spec

@@ -1,0 +1,178 @@
+"""A process of its own for episodes: whatever one does to it costs that episode's row only.
+
+The process is watched from outside, because an episode that hangs or eats memory may hold the
+interpreter's lock. Three things are watched: that it takes an episode up, that the episode ends
+in time, and that its resident memory stays below a limit. Resident memory, and not a limit of the
+address space (``RLIMIT_AS``), since numerical libraries reserve far more address space than they
+use; and a limit set by the kernel would surface as an abort somewhere in a library, which tells
+nobody that it was the memory. How far memory can run past the limit is bounded by what a process
+can touch between two looks.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import time
+from concurrent.futures import CancelledError, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from threading import Event
+from typing import Any, Final
+
+import psutil
+from pebble import ProcessExpired, ProcessPool
+
+from dosplan.running.config import RunConfig, RunError
+from dosplan.running.job import EpisodeResult, drive_episode
+from dosplan.scenario import ScenarioRef
+from dosplan.scoring.score import failed_score
+from dosplan.system.errors import one_line
+from dosplan.system.workers import cause_of_death, prepare_worker
+from dosplan.types import Arm
+
+_LOOK_EVERY: Final = 0.05  # s
+_START_SECONDS: Final = 120.0  # Within which a process must take up an episode.
+_ATTEMPTS: Final = 4  # Processes that may be lost before they take an episode up.
+_LAST_WORDS: Final = 1.0  # s for a result to arrive after its process has ended.
+
+
+class _NotTakenUpError(Exception):
+    """The process was lost before it took up the episode, which is not the episode's fault."""
+
+
+class EpisodeProcess:
+    """Drives episodes, one at a time, in a process that is replaced when one harms it.
+
+    Planner and predictor stay in the process from episode to episode.
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        """Starts nothing yet: the process is started with the first episode.
+
+        Args:
+            config: The run.
+        """
+        self._config = config
+        self._context = multiprocessing.get_context("spawn")
+        # One pool for one process: nothing is shared that a dying process could leave locked.
+        self._pool: ProcessPool | None = None
+        self._pid: Any = None
+        self._stopping = Event()
+
+    def drive(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+        """Drives one episode; blocks.
+
+        Args:
+            ref: The scenario.
+            arm: The arm.
+
+        Returns:
+            The episode's result, or a failed row that says what became of the process.
+
+        Raises:
+            RunError: No process lives long enough to take up the episode.
+            CancelledError: ``stop`` was called.
+        """
+        for _ in range(_ATTEMPTS):
+            try:
+                return self._attempt(ref, arm)
+            except _NotTakenUpError:
+                continue
+        raise RunError(
+            "worker processes die before they take up an episode; "
+            "look at the machine's free memory and try fewer workers"
+        )
+
+    def stop(self) -> None:
+        """Has a ``drive`` in another thread end at once and its process with it."""
+        self._stopping.set()
+
+    def close(self) -> None:
+        """Ends the process; a later ``drive`` would start another."""
+        if self._pool is not None:
+            self._pool.stop()  # type: ignore[no-untyped-call]
+            _kill_group(self._pid.value)
+            self._pool.join()
+            self._pool = None
+
+    def _attempt(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+        if self._pool is None:
+            self._pid = self._context.Value("i", 0, lock=False)
+            self._pool = ProcessPool(
+                1, initializer=_prepare, initargs=(self._pid,), context=self._context
+            )
+        healthy = False
+        try:
+            future: Future[EpisodeResult] = self._schedule(self._pool, ref, arm)
+            reason = self._watch(future)
+            if reason is None:
+                result = future.result()
+                healthy = True
+                return result
+            return EpisodeResult(failed_score(ref.id, arm, reason))
+        finally:
+            if not healthy:
+                self.close()
+
+    def _schedule(self, pool: ProcessPool, ref: ScenarioRef, arm: Arm) -> Future[EpisodeResult]:
+        try:
+            return pool.schedule(drive_episode, (ref, arm, self._config))
+        except RuntimeError as error:  # Its process was killed while it waited for work.
+            raise _NotTakenUpError from error
+
+    def _watch(self, future: Future[EpisodeResult]) -> str | None:
+        """Waits for the end of an episode.
+
+        Returns:
+            Why there is no result, or None where there is one.
+        """
+        asked = time.monotonic()
+        taken_up = gone = None
+        watched = 0
+        while not wait([future], timeout=_LOOK_EVERY).done:
+            now = time.monotonic()
+            if self._stopping.is_set():
+                raise CancelledError
+            if taken_up is None:
+                if future.running():
+                    taken_up, watched = now, self._pid.value
+                elif now - asked > _START_SECONDS:
+                    raise _NotTakenUpError
+                continue
+            if now - taken_up > self._config.episode_timeout:
+                return f"timed out after {self._config.episode_timeout:g} s"
+            memory = _resident_bytes(watched)
+            if memory is None:
+                gone = gone or now
+                if now - gone > _LAST_WORDS:
+                    return cause_of_death(0)  # The pool reports an end with any other code.
+            elif memory > 1e6 * self._config.memory_limit:
+                return f"took more than the memory limit of {self._config.memory_limit} MB"
+        error = future.exception()
+        if isinstance(error, BrokenProcessPool):
+            raise _NotTakenUpError from error
+        if isinstance(error, ProcessExpired):
+            _kill_group(error.pid)
+            return cause_of_death(error.exitcode)
+        return None if error is None else one_line(error)
+
+
+def _prepare(pid: Any) -> None:
+    prepare_worker()
+    pid.value = os.getpid()
+
+
+def _kill_group(pid: int) -> None:
+    if pid:
+        with suppress(ProcessLookupError):
+            os.killpg(pid, signal.SIGKILL)
+
+
+def _resident_bytes(pid: int) -> int | None:
+    """Resident memory of a process, or None where it has ended."""
+    try:
+        return int(psutil.Process(pid).memory_info().rss)
+    except psutil.NoSuchProcess:  # A zombie's is found, and is zero.
+        return None

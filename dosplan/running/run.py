@@ -1,0 +1,235 @@
+"""Drives many episodes; whatever happens, every episode becomes a row.
+
+An episode is one scenario in one arm. Where it is driven is an ``Executor``'s business; the run
+loop hands out the episodes that have no row yet and alone writes what comes back: first the files
+of an episode, then its row, so that a row always has its files. A run that was killed at any
+moment is resumed by the same command. The rows end up in the order of the manifest.
+"""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import asdict
+from datetime import UTC, datetime
+from itertools import product
+from typing import Any, Final
+
+from dosplan.api import OraclePredictor
+from dosplan.plugins.registry import find_planner, find_predictor, source_files
+from dosplan.report.tables import summary_markdown
+from dosplan.results.comparison import compare_rows
+from dosplan.results.folder import (
+    RunFolder,
+    append_row,
+    pooled_cycle_ms,
+    read_manifest,
+    read_rows,
+    summarise,
+    write_rows,
+)
+from dosplan.results.solutions import write_solutions
+from dosplan.running.config import FREE, RunConfig, RunError
+from dosplan.running.executor import Executor, LocalExecutor, Task
+from dosplan.running.job import EpisodeResult
+from dosplan.running.progress import Observer
+from dosplan.scenario import ScenarioRef, find_scenarios
+from dosplan.system.files import remove_half_written, write_bytes, write_json, write_text
+from dosplan.system.provenance import content_digest, describe_environment
+from dosplan.types import Arm, Score
+
+__all__ = ["RunConfig", "RunError", "run"]
+
+_PARTS: Final = ("episodes", "solutions")
+
+
+def run(config: RunConfig, observer: Observer = Observer()) -> RunFolder:  # noqa: B008 - no state
+    """Drives every episode of a run, or those that an interrupted one left.
+
+    Args:
+        config: The run.
+        observer: Is told of the rows that are there and of each that comes.
+
+    Returns:
+        The run folder, complete.
+
+    Raises:
+        RunError: The run may not start or cannot go on, or its folder holds another one.
+        RegistryError: A plug-in cannot be found or takes no such option.
+        ScenarioError: There are no scenarios.
+        FileError: A result cannot be written.
+    """
+    refs = find_scenarios(config.source)[: config.limit]
+    manifest = _manifest(config, refs)
+    folder = RunFolder(config.out)
+    manifest = _open_folder(folder, manifest)
+    tasks = list(product(refs, config.arms))
+    with _held(folder):
+        kept, left = _unfinished(folder, tasks)
+        observer.begin(dict.fromkeys(config.arms, len(refs)), kept)
+        if left:
+            _drive(folder, left, _executor(config), observer)
+        by_task = {(row.scenario, row.arm): row for row in read_rows(folder.rows)}
+        rows = [by_task[ref.id, arm] for ref, arm in tasks]
+        write_rows(folder.rows, rows)
+        summary = _summary(folder, manifest, rows)
+        write_json(folder.summary, summary)
+        write_text(folder.summary_text, summary_markdown(summary))
+        if config.solutions:
+            write_solutions(folder, refs, config.arms)
+    return folder
+
+
+def _executor(config: RunConfig) -> Executor:
+    if config.cluster is None:
+        return LocalExecutor(config)
+    from dosplan.running.dask_cluster import DaskExecutor  # Of an optional dependency.
+
+    return DaskExecutor(config, config.cluster)
+
+
+def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> tuple[list[Score], list[Task]]:
+    """Puts right what a run that was killed left in the folder.
+
+    Returns:
+        Its rows, and what is to be driven.
+    """
+    for place in (folder.path, *(folder.path / name for name in _PARTS)):
+        remove_half_written(place)
+    wanted = {(ref.id, arm) for ref, arm in tasks}
+    kept = {
+        key: row
+        for row in read_rows(folder.rows)
+        if (key := (row.scenario, row.arm)) in wanted and folder.holds(row)
+    }
+    write_rows(folder.rows, kept.values())
+    left = [(ref, arm) for ref, arm in tasks if (ref.id, arm) not in kept]
+    return list(kept.values()), left
+
+
+def _drive(folder: RunFolder, tasks: list[Task], executor: Executor, observer: Observer) -> None:
+    """Drives episodes and writes what they give as they end."""
+    with folder.rows.open("ab", buffering=0) as file, closing(executor.drive(tasks)) as results:
+        for (ref, arm), result in results:
+            _write_files(folder, ref, arm, result)
+            append_row(file, result.row)
+            observer.add(result.row)
+
+
+def _write_files(folder: RunFolder, ref: ScenarioRef, arm: Arm, result: EpisodeResult) -> None:
+    if result.recording is not None:
+        write_bytes(folder.recording(ref.id, arm), result.recording)
+    if result.traceback is not None:
+        write_text(folder.traceback(ref.id, arm), result.traceback)
+
+
+@contextmanager
+def _held(folder: RunFolder) -> Iterator[None]:
+    """Keeps a second runner out of the folder; the system lets go when the process ends."""
+    with folder.manifest.open("rb") as file:
+        with suppress(OSError):  # A file system without locks: go on, as there is no other way.
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise RunError(
+                    f"another process is driving the run in {folder.path}; "
+                    "wait for it, or choose another --out"
+                ) from None
+        yield
+
+
+def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> dict[str, Any]:
+    """Checks the plug-ins and describes the run: the content of ``run.json``."""
+    planner = find_planner(config.planner, config.planner_options)
+    predictor = find_predictor(config.predictor, config.predictor_options)
+    if config.ranked and issubclass(predictor, OraclePredictor):
+        raise RunError(
+            f"predictor {predictor.name} is shown the future, so a ranked run refuses it; "
+            "--unranked allows it and marks the results"
+        )
+    settings = {**asdict(config), "arms": list(config.arms)}
+    del settings["out"]  # The folder is where the file is.
+    return {
+        "config": settings,
+        "planner": planner.name,
+        "predictor": predictor.name,
+        "scenarios": [ref.id for ref in refs],
+        "digests": {
+            "planner file": content_digest(source_files(config.planner)),
+            "predictor file": content_digest(source_files(config.predictor)),
+            "weights": content_digest(predictor.weight_files()),
+            "scenario files": content_digest(ref.path for ref in refs),
+        },
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        **describe_environment(),
+    }
+
+
+def _open_folder(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Makes the run folder, or checks that the one that is there holds the same run.
+
+    Returns:
+        What its ``run.json`` holds.
+    """
+    for part in (folder.path / name for name in _PARTS):
+        if part.is_symlink():
+            raise RunError(
+                f"{part} is a link, and a run writes into its own folder only; "
+                "remove it or choose another --out"
+            )
+    if folder.manifest.exists():
+        old = read_manifest(folder)
+        there, here = _identity(old), _identity(manifest)
+        odd = next((key for key in here if there.get(key) != here[key]), None)
+        if odd is not None:
+            raise RunError(
+                f"{folder.path} holds a run with another {odd}; nothing was changed. "
+                "Choose another --out, or give the same arguments to resume"
+            )
+        return old
+    remove_half_written(folder.path, folder.manifest.name)
+    if folder.path.is_dir() and any(folder.path.iterdir()):
+        raise RunError(f"{folder.path} is not empty and holds no run; choose another --out")
+    write_json(folder.manifest, manifest)
+    return manifest
+
+
+def _identity(manifest: dict[str, Any]) -> dict[str, Any]:
+    """What must agree for two invocations to be one run."""
+    settings = {key: value for key, value in manifest["config"].items() if key not in FREE}
+    plugins = {f"{key} version": manifest[key] for key in ("planner", "predictor")}
+    return {
+        **settings,
+        **plugins,
+        "dosplan version": manifest["versions"].get("dosplan"),
+        "list of scenarios": manifest["scenarios"],
+        "content of its planner, predictor, weight or scenario files": manifest.get("digests"),
+    }
+
+
+def _summary(folder: RunFolder, manifest: dict[str, Any], rows: Sequence[Score]) -> dict[str, Any]:
+    """Content of ``summary.json``: the figures of each arm, and the run they belong to."""
+    arms = [Arm(arm) for arm in manifest["config"]["arms"]]
+    times = {arm: pooled_cycle_ms(folder, rows, arm) for arm in arms}
+    figures = summarise(rows, len(manifest["scenarios"]), times)
+    summary: dict[str, Any] = {arm.value: figures[arm] for arm in arms}
+    summary["run"] = {
+        "source": manifest["config"]["source"],
+        "planner": manifest["planner"],
+        "predictor": manifest["predictor"],
+        "planner_options": manifest["config"]["planner_options"],
+        "predictor_options": manifest["config"]["predictor_options"],
+        "seed": manifest["config"]["seed"],
+        "ranked": manifest["config"]["ranked"],
+    }
+    if len(arms) == len(Arm):
+        by_arm = {arm: [row for row in rows if row.arm is arm] for arm in Arm}
+        comparison = compare_rows(
+            by_arm[Arm.WITHOUT_DOS],
+            by_arm[Arm.WITH_DOS],
+            Arm.WITHOUT_DOS.value,
+            Arm.WITH_DOS.value,
+        )
+        summary["comparison"] = asdict(comparison)
+    return summary

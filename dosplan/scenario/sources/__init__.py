@@ -1,0 +1,1 @@
+"""Where scenario files come from: folders, archives, URLs and lists."""

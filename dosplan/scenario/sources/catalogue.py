@@ -1,0 +1,144 @@
+"""Finding scenarios: from files of a source, or of the embedded suite, to episodes."""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from dosplan.scenario.commonroad.document import SUFFIXES, ScenarioError, scan
+from dosplan.scenario.sources.fetch import LIST, Candidate, candidates, listed_candidates, place
+
+SUITE: Final = "suite"
+
+
+@dataclass(frozen=True)
+class ScenarioRef:
+    """One episode to be run.
+
+    Attributes:
+        path: The scenario file; for one behind a URL, what ``universal-pathlib`` makes of it.
+        id: Benchmark id, with ``@<problem id>`` appended where the file holds several planning
+            problems; the file's stem where it cannot be read, or the file's path in the source
+            where that stem is taken.
+        problem_id: The planning problem, or None where the file holds one only.
+    """
+
+    path: Path
+    id: str
+    problem_id: int | None = None
+
+    @property
+    def scenario(self) -> str:
+        """The id without the planning problem; all episodes of a file have the same."""
+        if self.problem_id is None:
+            return self.id
+        return self.id.removesuffix(f"@{self.problem_id}")
+
+
+def find_scenarios(source: str | Path) -> list[ScenarioRef]:
+    """Lists the episodes of a source, in the order of their paths, or of the list.
+
+    A file that is broken is listed too, so that its failure becomes a result and is not lost.
+    Hidden files of a folder and XML files that are something else (solutions) are passed over.
+
+    Args:
+        source: ``"suite"`` for the embedded suite, or one of these, by its path:
+
+            * a ``.xml`` or ``.xml.gz`` file;
+            * a folder, which is searched with its subfolders;
+            * a glob, such as ``"data/USA_*.xml"`` or ``"data/**/*-1_T-1.xml"``;
+            * a ``.zip``, ``.tar``, ``.tar.gz``, ``.tar.bz2`` or ``.tar.xz`` file, which is
+              unpacked into the cache (``dosplan.scenario.sources.archives``);
+            * ``@LIST``, a text file that names a path or an id on each line
+              (``dosplan.scenario.sources.fetch``);
+            * the URL of a file, a folder or an archive (``s3://bucket/folder``, whatever fsspec
+              reads).
+
+    Returns:
+        The episodes, ids unique.
+
+    Raises:
+        ScenarioError: Nothing is found, two files have the same id, or an archive or a list
+            cannot be used.
+    """
+    if source == SUITE:
+        refs = _suite()
+    elif str(source).startswith(LIST):
+        listing = Path(str(source).removeprefix(LIST))
+        suite = {ref.scenario: ref.path for ref in _suite()}
+        refs = _episodes(listed_candidates(listing, suite))
+    else:
+        refs = _episodes(candidates(source))
+    if not refs:
+        raise ScenarioError(place(source), f"holds no scenario ({' or '.join(SUFFIXES)})")
+    known: dict[str, Path] = {}
+    for ref in refs:
+        other = known.setdefault(ref.scenario, ref.path)
+        if other != ref.path:
+            raise ScenarioError(
+                ref.path, f"has the same id, {ref.scenario}, as {other}; remove one of them"
+            )
+    return refs
+
+
+def stem(path: Path) -> str:
+    """Name of a scenario file without ``.xml`` or ``.xml.gz``."""
+    return path.name.removesuffix(".gz").removesuffix(".xml")
+
+
+def _episodes(found: list[Candidate]) -> list[ScenarioRef]:
+    """The episodes of some files, each once; a broken file is one."""
+    each = [(candidate, _refs(candidate)) for candidate in found]
+    ids = Counter({ref.id for _, refs in each for ref in refs or ()})
+    ids.update({c.path: stem(c.path) for c, refs in each if refs is None}.values())
+    listed: dict[ScenarioRef, None] = {}
+    for candidate, refs in each:
+        if refs is None:
+            name = stem(candidate.path)
+            refs = [ScenarioRef(candidate.path, name if ids[name] == 1 else candidate.name)]
+        listed.update(dict.fromkeys(refs))
+    return list(listed)
+
+
+def _refs(candidate: Candidate) -> list[ScenarioRef] | None:
+    """The wanted episodes of a file, or None where it cannot be read."""
+    path, wanted = candidate.path, candidate.wanted
+    try:
+        tag, benchmark_id, problems = scan(path)
+    except ScenarioError:
+        return None
+    if tag != "commonRoad" and not candidate.chosen:
+        return []
+    name = benchmark_id or stem(path)
+    if twice := [problem for problem, times in Counter(problems).items() if times > 1]:
+        raise ScenarioError(path, f"names planning problem {twice[0]} twice; give one another id")
+    refs = [ScenarioRef(path, name)]
+    if len(problems) > 1:
+        refs = [ScenarioRef(path, f"{name}@{problem}", problem) for problem in problems]
+    chosen = [ref for ref in refs if wanted in (None, ref.id, ref.scenario)]
+    if not chosen:
+        raise ScenarioError(path, f"does not hold {wanted}, but {', '.join(r.id for r in refs)}")
+    return chosen
+
+
+def _suite() -> list[ScenarioRef]:
+    package = Path(__file__).resolve().parents[2]
+    installed, source = package / "_suite", package.parent / "scenarios"
+    folder = installed if installed.is_dir() else source
+    manifest = folder / "manifest.csv"
+    try:
+        with manifest.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+    except OSError as error:
+        raise ScenarioError(
+            manifest, f"cannot be read ({error.strerror}); install dosplan again"
+        ) from None
+    return [_suite_ref(folder / row["file"], row["id"]) for row in rows]
+
+
+def _suite_ref(path: Path, name: str) -> ScenarioRef:
+    problem = name.partition("@")[2]
+    return ScenarioRef(path, name, int(problem) if problem else None)

@@ -1,0 +1,1 @@
+"""Judges one episode: outcome, fault and metrics."""

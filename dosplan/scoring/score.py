@@ -1,0 +1,274 @@
+"""Scores an episode: exact geometry, outcome, fault and metrics.
+
+Definitions
+-----------
+- **Two arms.** Same predictor, same planner, same NLP, same scenarios, same seed. *With DOS*: a
+  road user's forbidden set at step t is its DOS ellipse, widened by its own footprint and by the
+  ego's covering discs. *Without DOS*: the same with semi-axes zero, so the predicted position
+  alone, with its footprint, counts. No `if` in the planner: the arms differ in the `Occupancy`
+  they are handed.
+- **Outcome**, one per scenario, first that applies: `collision` (exact overlap of the ego's
+  rectangle with a road user's shape at the same step; also swept between steps), `out_of_bounds`
+  (part of the ego's rectangle outside the drivable area), `planner_failure` (exception, time-out,
+  no plan and no fallback), `goal_missed`, `success`. The denominator is the manifest: an episode
+  that crashed is a row with its traceback. The paper counts success = neither collision nor
+  out-of-bounds: report that as `safe` beside `success`. An episode that failed was not driven to
+  its end and is not called safe.
+- **Road**: the drivable area is the union of all lanelets; gaps between them of up to 0.2 m, less
+  than a tyre's width, are closed.
+- **Fault** of a collision: nuPlan's classes. Report collision rate and at-fault collision rate.
+- **Velocity**: mean ego speed over the steps driven, m/s, averaged over scenarios. Progress,
+  comfort, time-to-collision, cycle time p50/p99 beside it.
+- **CR_t** share of road users whose true centre at horizon t lies inside the set; **OSA_t** mean
+  area, m2, pi/4 · l · w with l, w the full axes; at 1, 2, 3, 4 s; masked where the recording ends.
+  Beside them `OSA@90`: area when each method's sets are scaled by one factor per horizon to cover
+  exactly 90 % on validation data: the fair comparison.
+- Scoring never uses the planner's own ellipses or discs; the planner never sees what scoring uses.
+
+The drive that is scored
+------------------------
+A simulation does not stop at a collision, a car does. The drive begins at the first state and ends
+at the first contact, at the first state that reaches a goal, or at the last state, whichever comes
+first; every metric is over that drive alone, and so are cycle times and fallbacks: a cycle counts
+where a step of the drive follows it. Whether a goal was reached is found out from the states. A
+planner failure counts where the drive lasts until it; a goal at the very step of a contact is
+noted, but the outcome is `collision`. If the ego left the road before it collided, the outcome is
+`collision` and `out_of_bounds_step` is filled as well.
+
+Several road users may be touched for the first time on the way to the same step. The collision
+that is reported is the earliest of those the ego is to blame for, or the earliest of all where it
+is to blame for none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Final
+
+import numpy as np
+import shapely
+
+from dosplan.geometry import wrap_angle
+from dosplan.geometry.goal import goal_reached
+from dosplan.scoring.bounds import outside
+from dosplan.scoring.collision import first_contacts, overlap_window
+from dosplan.scoring.comfort import comfort
+from dosplan.scoring.fault import BEHIND_ANGLE, STOPPED_VELOCITY, at_fault, classify
+from dosplan.scoring.solver import telemetry
+from dosplan.types import (
+    EGO_HEADING,
+    EGO_VELOCITY,
+    USER_HEADING,
+    USER_VELOCITY,
+    Arm,
+    CollisionClass,
+    Episode,
+    EpisodeEnd,
+    FloatArray,
+    IntArray,
+    Outcome,
+    PlanningTask,
+    Route,
+    Scenario,
+    Score,
+    Tracks,
+)
+from dosplan.vehicle import VehicleParameters
+
+COLLISION_HORIZON: Final = 3.0
+"""How far ahead a collision under constant velocities is looked for, s (nuPlan's)."""
+
+
+def score(scenario: Scenario, episode: Episode, vehicle: VehicleParameters) -> Score:
+    """Scores one episode.
+
+    Args:
+        scenario: The scenario that was driven.
+        episode: What happened.
+        vehicle: The ego's parameters.
+
+    Returns:
+        The episode's row.
+    """
+    states, start = episode.states, episode.start_step
+    goal_step = _goal_step(scenario.task, states, start, vehicle)
+    if goal_step is not None:
+        states = states[: goal_step - start + 1]
+    ego = np.column_stack([vehicle.poses(states), states[:, EGO_VELOCITY]])
+
+    touched = first_contacts(ego, vehicle.size, scenario.tracks, start)
+    classes = [classify(contact, scenario.tracks, vehicle) for contact in touched]
+    blamed = [
+        at_fault(contact, kind, scenario.road_map, vehicle)
+        for contact, kind in zip(touched, classes, strict=True)
+    ]
+    collision_class: CollisionClass | None = None
+    collision_with = collision_step = None
+    if touched:
+        # In the order of contact: the first one to blame, or the first of all where none is.
+        reported = next((i for i, fault in enumerate(blamed) if fault), 0)
+        collision_class = classes[reported]
+        collision_with = int(scenario.tracks.ids[touched[reported].user])
+        collision_step = touched[reported].step
+        states, ego = states[: collision_step - start + 1], ego[: collision_step - start + 1]
+    driven = len(states) - 1
+    if goal_step is not None and goal_step > start + driven:
+        goal_step = None
+
+    off_road = np.flatnonzero(outside(ego[:, :3], vehicle.size, scenario.road_map))
+    out_of_bounds_step = start + int(off_road[0]) if off_road.size else None
+
+    if collision_step is not None:
+        outcome = Outcome.COLLISION
+    elif out_of_bounds_step is not None:
+        outcome = Outcome.OUT_OF_BOUNDS
+    elif goal_step is not None:
+        outcome = Outcome.SUCCESS
+    elif episode.end is EpisodeEnd.PLANNER_FAILURE:
+        outcome = Outcome.PLANNER_FAILURE
+    else:
+        outcome = Outcome.GOAL_MISSED
+
+    felt = comfort(states, scenario.dt)
+    cycles = np.flatnonzero(episode.cycle_steps < start + driven)
+    median, slowest = _cycle_times(episode, cycles)
+    return Score(
+        scenario=episode.scenario_id,
+        arm=episode.arm,
+        outcome=outcome,
+        safe=outcome in (Outcome.GOAL_MISSED, Outcome.SUCCESS),
+        at_fault=any(blamed),
+        collision_class=collision_class,
+        collision_with=collision_with,
+        collision_step=collision_step,
+        out_of_bounds_step=out_of_bounds_step,
+        goal_step=goal_step,
+        velocity=_mean_velocity(states),
+        progress=_progress(scenario.task.route, ego),
+        steps=driven,
+        comfortable=felt.comfortable,
+        max_abs_acceleration=felt.acceleration,
+        max_abs_lateral_acceleration=felt.lateral_acceleration,
+        max_abs_jerk=felt.jerk,
+        min_time_to_collision=min_time_to_collision(ego, vehicle, scenario.tracks, start),
+        cycle_ms_p50=median,
+        cycle_ms_p99=slowest,
+        fallback_cycles=sum(episode.plans[i].report.fallback is not None for i in cycles),
+        error=episode.error if outcome is Outcome.PLANNER_FAILURE else None,
+        **asdict(telemetry([episode.plans[i].report for i in cycles])),
+    )
+
+
+def failed_score(scenario_id: str, arm: Arm, error: str) -> Score:
+    """The row of an episode that never was: an unreadable file, a crashed worker.
+
+    Args:
+        scenario_id: Id of the scenario.
+        arm: The arm.
+        error: What went wrong.
+
+    Returns:
+        A planner failure without a step.
+    """
+    return Score(
+        scenario=scenario_id,
+        arm=arm,
+        outcome=Outcome.PLANNER_FAILURE,
+        safe=False,
+        at_fault=False,
+        collision_class=None,
+        collision_with=None,
+        collision_step=None,
+        out_of_bounds_step=None,
+        goal_step=None,
+        velocity=0.0,
+        progress=0.0,
+        steps=0,
+        comfortable=True,
+        max_abs_acceleration=0.0,
+        max_abs_lateral_acceleration=0.0,
+        max_abs_jerk=0.0,
+        min_time_to_collision=None,
+        cycle_ms_p50=None,
+        cycle_ms_p99=None,
+        fallback_cycles=0,
+        error=error,
+    )
+
+
+def min_time_to_collision(
+    ego: FloatArray, vehicle: VehicleParameters, tracks: Tracks, start_step: int
+) -> float | None:
+    """Smallest time to a collision if everyone keeps velocity and heading from a step on.
+
+    As in nuPlan, a standing ego collides with nobody, and road users behind it (the rule of a
+    rear collision) are their own concern. Shapes are the rectangles of ``Tracks.size``; the time
+    is exact for them.
+
+    Args:
+        ego: (K + 1, 4) x, y, heading, velocity of the ego's centre at consecutive steps.
+        vehicle: The ego's parameters.
+        tracks: The recorded road users.
+        start_step: Step of ``ego[0]``.
+
+    Returns:
+        s, over all steps, 0 where they overlap; None where it is nowhere below
+        ``COLLISION_HORIZON``.
+    """
+    present = tracks.valid[:, start_step : start_step + len(ego)]
+    users = tracks.states[:, start_step : start_step + len(ego)]
+    ego = np.broadcast_to(ego[: users.shape[1]], users.shape)
+    velocity = _velocity(users) - _velocity(ego)
+    heading = ego[..., USER_HEADING]
+    forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    to_user = users[..., :2] - (ego[..., :2] - vehicle.rear_to_centre * forward)
+    angle = wrap_angle(np.arctan2(to_user[..., 1], to_user[..., 0]) - heading)
+    relevant = present & (np.abs(angle) <= BEHIND_ANGLE)
+    relevant &= np.abs(ego[..., USER_VELOCITY]) > STOPPED_VELOCITY
+    sizes = np.broadcast_to(tracks.size[:, None], (*users.shape[:2], 2))
+    times, _ = overlap_window(
+        ego[relevant, :3],
+        np.asarray(vehicle.size, dtype=np.float64),
+        users[relevant, :3],
+        sizes[relevant],
+        velocity[relevant],
+    )
+    smallest = float(times.min(initial=np.inf))
+    return smallest if smallest < COLLISION_HORIZON else None
+
+
+def _goal_step(
+    task: PlanningTask, states: FloatArray, start: int, vehicle: VehicleParameters
+) -> int | None:
+    centres = vehicle.centre(states)
+    for step, (state, centre) in enumerate(zip(states, centres, strict=True), start):
+        heading, velocity = float(state[EGO_HEADING]), float(state[EGO_VELOCITY])
+        if goal_reached(task.goals, step, centre, heading, velocity):
+            return step
+    return None
+
+
+def _velocity(states: FloatArray) -> FloatArray:
+    heading, speed = states[..., USER_HEADING, None], states[..., USER_VELOCITY, None]
+    return np.concatenate([speed * np.cos(heading), speed * np.sin(heading)], axis=-1)
+
+
+def _mean_velocity(states: FloatArray) -> float:
+    """Mean over the steps of the mean speed within each, exact for a held acceleration."""
+    speed = np.abs(states[:, EGO_VELOCITY])
+    return float(np.mean(0.5 * (speed[1:] + speed[:-1]))) if len(speed) > 1 else 0.0
+
+
+def _progress(route: Route, ego: FloatArray) -> float:
+    path = shapely.LineString(route.path)
+    first, last = shapely.line_locate_point(path, shapely.points(ego[[0, -1], :2]))
+    return float(last - first)
+
+
+def _cycle_times(episode: Episode, cycles: IntArray) -> tuple[float | None, float | None]:
+    """Median and 99th percentile of the time of some full cycles, ms; None without a cycle."""
+    if not cycles.size:
+        return None, None
+    times = 1e3 * (episode.predict_seconds + episode.plan_seconds)[cycles]
+    median, slowest = np.percentile(times, [50.0, 99.0])
+    return float(median), float(slowest)

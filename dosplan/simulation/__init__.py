@@ -1,0 +1,1 @@
+"""Drives one episode in closed loop."""

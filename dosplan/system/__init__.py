@@ -1,0 +1,1 @@
+"""Files, processes, versions and errors: what has nothing to do with driving."""

@@ -1,0 +1,157 @@
+"""Writing files so that a reader never meets half of one."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import IO, Any, Final
+from urllib.parse import quote
+
+from dosplan.system.errors import DosplanError
+
+_LONGEST_NAME: Final = 200  # File systems allow 255 bytes; endings need some of them.
+_HALF: Final = ".part"  # Ends the name of a file that is being written.
+
+
+class FileError(DosplanError, RuntimeError):
+    """A file of a run that cannot be written, or is not what it should be; one line."""
+
+
+def file_name(name: str) -> str:
+    """Makes a file name of any text: what is unsafe in one is quoted, what is too long is cut.
+
+    Args:
+        name: The text.
+
+    Returns:
+        A name without folder and ending; two texts do not have the same one.
+    """
+    data = name.encode(errors="surrogatepass")  # It may be that of a file name.
+    safe = quote(data, safe="@")
+    if len(safe) <= _LONGEST_NAME:
+        return safe
+    digest = sha256(data).hexdigest()[:16]
+    return f"{safe[: _LONGEST_NAME - len(digest) - 1]}-{digest}"
+
+
+@contextmanager
+def atomic_file(path: Path) -> Iterator[IO[bytes]]:
+    """Opens a file that takes its name only when the block ends without an exception.
+
+    Args:
+        path: The file to write; a file of that name is replaced. Its folder is made.
+
+    Yields:
+        A binary file to write to.
+
+    Raises:
+        FileError: It cannot be written (no room, no permission, ...).
+    """
+    # The process id keeps two runs that write to one folder by mistake off each other's toes.
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{_HALF}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            temporary.unlink(missing_ok=True)  # Never write through a link that stands there.
+            with temporary.open("xb") as file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def remove_half_written(folder: Path, name: str = "*") -> None:
+    """Removes what writers that were killed left behind.
+
+    Args:
+        folder: The folder; nobody may be writing to it.
+        name: Pattern of the files that were to be written.
+    """
+    for path in folder.glob(f".{name}.*{_HALF}"):
+        path.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Writes a file, whole or not at all.
+
+    Args:
+        path: The file.
+        data: What to write.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    with atomic_file(path) as file:
+        file.write(data)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes a text file, whole or not at all.
+
+    Args:
+        path: The file.
+        text: What to write; what UTF-8 cannot hold (of a file name, say) becomes a "?".
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    write_bytes(path, text.encode(errors="replace"))
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Writes a JSON file, whole or not at all.
+
+    Args:
+        path: The file.
+        value: What ``json`` can write; NaN and infinity are refused, as JSON has neither.
+
+    Raises:
+        FileError: It cannot be written.
+        ValueError: The value holds a NaN.
+    """
+    write_text(path, json_text(value))
+
+
+def json_text(value: Any) -> str:
+    """Writes a value as the text of a JSON file.
+
+    Args:
+        value: What ``json`` can write; NaN and infinity are refused, as JSON has neither.
+
+    Returns:
+        The text, with its last line break.
+
+    Raises:
+        ValueError: The value holds a NaN.
+    """
+    return json.dumps(value, indent=2, allow_nan=False) + "\n"
+
+
+def read_json(path: Path) -> Any:
+    """Reads a JSON file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Its value.
+
+    Raises:
+        FileError: It is missing, cannot be read or is not JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FileError(f"{path} is missing") from None
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{path} is not JSON: {error}") from None

@@ -1,0 +1,56 @@
+"""YAML that somebody wrote: plain values out, or one line that says why not.
+
+Aliases are refused: a few lines of them stand for more values than any memory holds. So is deep
+nesting, which those who go through the values could not follow.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import yaml
+
+from dosplan.system.errors import DosplanError
+
+MAX_DEPTH: Final = 50
+"""Levels of lists and mappings within each other."""
+
+
+class YamlError(DosplanError, ValueError):
+    """A text that is not YAML, or is more than plain values; the message is one line."""
+
+
+def parse_yaml(text: str) -> Any:
+    """Reads a YAML document.
+
+    Args:
+        text: The document.
+
+    Returns:
+        Its value: mappings, lists, texts, numbers, truth values, dates and None.
+
+    Raises:
+        YamlError: It is not such a document.
+    """
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506 - a safe loader, and stricter
+    # Beside its own errors, PyYAML raises whatever it stumbles over in a value that is not what
+    # its tag says.
+    except Exception as error:
+        reason = str(error) if isinstance(error, yaml.YAMLError | ValueError) else repr(error)
+        raise YamlError(f"is not YAML: {' '.join(reason.split())}") from None
+
+
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]
+    depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            mark = self.peek_event().start_mark
+            raise yaml.composer.ComposerError(None, None, "write aliases (*) out", mark)
+        if self.depth == MAX_DEPTH:
+            raise yaml.composer.ComposerError(None, None, "nested too deeply", None)
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node

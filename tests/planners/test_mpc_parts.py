@@ -1,0 +1,569 @@
+"""The parts of the optimisation planner: sets, path, goals, sampler, optimal control problem."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.goal import (
+    braking_envelope,
+    cruise_for_goal,
+    curve_speed,
+    locate_goals,
+    plan_speed,
+)
+from dosplan_mpc.nlp import Guess, MpcProblem, Solution, problem
+from dosplan_mpc.obstacles import (
+    ForbiddenSets,
+    forbidden_sets,
+    release,
+    stretch_back,
+    superellipse_axes,
+)
+from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, ReferencePath
+from dosplan_mpc.sampler import Sampler
+from dosplan_mpc.shape import disc_offsets, station_offsets
+from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, SLOT_SIZE, STAGE_HEAD, STATION_SIZE
+from dosplan_mpc.traffic import Traffic, look_around
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely.geometry import box
+
+from dosplan.geometry import rectangle_corners
+from dosplan.scenario.synthetic import steady_tracks, straight_route, straight_scenario
+from dosplan.simulation.loop import observe
+from dosplan.types import FloatArray, GoalState, Occupancy, PlanningTask, Route, SolveStatus
+from dosplan.vehicle import VehicleParameters
+
+VEHICLE = VehicleParameters()
+DT = 0.1
+HORIZON = MpcConfig().horizon
+PENALTY = np.full(HORIZON, 200.0)
+FREE = Traffic(cruise=10.0, pressed=False, followers=np.zeros(0, dtype=np.bool_))
+
+
+def the_set(occupancy: Occupancy, radius: float, penalty: FloatArray = PENALTY) -> ForbiddenSets:
+    """The forbidden set of the first road user."""
+    return forbidden_sets(occupancy, radius, np.array([0]), penalty, len(penalty))
+
+
+def circle_route(radius: float, turn: float = np.pi) -> Route:
+    """An arc to the left that begins in the origin along +x, four metres free on both sides."""
+    s = np.arange(0.0, radius * turn, 0.5)
+    angle = s / radius
+    path = np.stack([radius * np.sin(angle), radius * (1.0 - np.cos(angle))], axis=1)
+    ones = np.ones_like(s)
+    return Route(
+        lanelet_ids=(1,),
+        arclength=s,
+        path=path,
+        heading=angle,
+        curvature=ones / radius,
+        left=4.0 * ones,
+        right=-4.0 * ones,
+        outer_left=4.0 * ones,
+        outer_right=-4.0 * ones,
+        speed_limit=np.inf * ones,
+    )
+
+
+# Sets
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_discs_cover_the_ego(count: int) -> None:
+    offsets, radius = disc_offsets(VEHICLE, count)
+    state = VEHICLE.state_at(np.zeros(2), 0.0, 0.0)
+    centres = np.stack([state[0] + offsets, np.full(count, state[1])], axis=1)
+    grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 61), np.linspace(-0.5, 0.5, 41)), axis=-1)
+    points = grid.reshape(-1, 2) * VEHICLE.size
+    away = np.linalg.norm(points[:, None] - centres, axis=-1).min(axis=1)
+    assert away.max() <= radius + 1e-9
+    # The corners are the farthest points: a smaller radius would leave them out.
+    assert away.max() == pytest.approx(radius)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    length=st.floats(0.3, 18.0),
+    width=st.floats(0.3, 3.0),
+    a=st.floats(0.0, 12.0),
+    b=st.floats(0.0, 4.0),
+    turn=st.floats(-np.pi, np.pi),
+    radius=st.floats(0.2, 1.5),
+    seed=st.integers(0, 2**31),
+)
+def test_superellipse_holds_the_minkowski_sum(
+    length: float, width: float, a: float, b: float, turn: float, radius: float, seed: int
+) -> None:
+    """Points of rectangle + ellipse + disc, drawn on their edges, are never outside."""
+    axes = superellipse_axes(np.array([length, width]), np.array([a, b]), np.array(turn), radius)
+    rng = np.random.default_rng(seed)
+    n = 4000
+    corners = rectangle_corners(np.zeros(3), (length, width))
+    t = rng.uniform(0.0, 2.0 * np.pi, (2, n))
+    ellipse = np.stack([a * np.cos(t[0]), b * np.sin(t[0])], axis=1)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    disc = radius * np.stack([np.cos(t[1]), np.sin(t[1])], axis=1)
+    points = corners[rng.integers(0, 4, n)] + ellipse @ rotation.T + disc
+    assert (((points / axes) ** 4).sum(axis=1)).max() <= 1.0
+    # Nor does it give lanes away: each half extent is at most 19 % (2^(1/4)) above the sum's.
+    extent = np.array([length, width]) / 2.0 + np.hypot(*(np.diag([a, b]) @ rotation.T)) + radius
+    assert np.all(axes <= extent * 2**0.25 * 1.006)
+
+
+def occupancy_at(x: float, y: float, heading: float = 0.0, semi: float = 0.0) -> Occupancy:
+    """A car that stands still, predicted for 40 steps."""
+    ones = np.ones((1, 40))
+    return Occupancy(
+        ids=np.array([7]),
+        centre=np.tile([x, y], (1, 40, 1)),
+        semi_axes=semi * np.ones((1, 40, 2)),
+        angle=0.3 * ones,
+        valid=ones > 0,
+        footprint=np.array([[4.5, 1.8]]),
+        heading=heading * ones,
+    )
+
+
+def test_forbidden_set_follows_heading_and_grows_with_the_set() -> None:
+    across = the_set(occupancy_at(10.0, 0.0, np.pi / 2), 1.0)
+    wide = the_set(occupancy_at(10.0, 0.0, np.pi / 2, 1.0), 1.0)
+    beside = np.array([[[[10.0, 3.3]]]] * 1).repeat(30, axis=1)[0]  # along the car's length
+    ahead = np.array([[[[13.4, 0.0]]]] * 1).repeat(30, axis=1)[0]  # across it
+    assert across.distance(beside)[0, 0] < across.distance(ahead)[0, 0]
+    assert wide.distance(beside)[0, 0] < across.distance(beside)[0, 0]
+    # Half the length, the disc, and at most 19 %: 2.25 + 1 = 3.25 m.
+    assert across.distance(np.full((30, 1, 2), [10.0, 3.25])).max() <= 1.0
+    assert across.distance(np.full((30, 1, 2), [10.0, 3.25 * 1.2])).min() > 1.0
+
+
+def test_unpredicted_road_user_is_out_of_reach() -> None:
+    gone = replace(occupancy_at(10.0, 0.0), valid=np.zeros((1, 40), dtype=np.bool_))
+    sets = the_set(gone, 1.0)
+    assert sets.distance(np.full((30, 1, 2), [10.0, 0.0])).min() > 100.0
+
+
+def test_after_the_steps_with_sets_the_positions_alone_count() -> None:
+    occupancy = occupancy_at(10.0, 0.0, 0.3, 1.0)
+    sets = forbidden_sets(occupancy, 1.0, np.array([0]), PENALTY, 12)
+    full, bare = the_set(occupancy, 1.0), the_set(occupancy.without_sets(), 1.0)
+    np.testing.assert_array_equal(sets.slots[:, :12], full.slots[:, :12])
+    np.testing.assert_array_equal(sets.slots[:, 12:], bare.slots[:, 12:])
+
+
+def test_release_lets_go_of_the_ego_and_comes_back() -> None:
+    sets = the_set(occupancy_at(0.0, 2.0), 1.0)
+    ego = np.array([[0.0, 0.3]])
+    assert sets.distance(ego[None].repeat(30, axis=0))[0, 0] < 1.0
+    released = release(sets, ego, DT).distance(ego[None].repeat(30, axis=0))[0]
+    assert released[0] >= 1.0
+    assert np.all(np.diff(released) <= 1e-12)
+    np.testing.assert_array_equal(
+        release(sets, ego, DT).slots[:, 15:], sets.slots[:, 15:]
+    )  # full again after 1.5 s
+
+
+def test_release_keeps_sets_that_do_not_hold_the_ego() -> None:
+    sets = the_set(occupancy_at(0.0, 9.0), 1.0)
+    np.testing.assert_array_equal(release(sets, np.zeros((1, 2)), DT).slots, sets.slots)
+
+
+@pytest.mark.parametrize("away", [0.0, 5e5])
+def test_distance_is_that_of_the_nearest_disc(away: float) -> None:
+    """Against loops over everything; also where the map lies far from its origin."""
+    rng = np.random.default_rng(3)
+    n, steps, discs = 4, 6, 3
+    slots = rng.normal(size=(n, steps, 7)) + np.array([away, away, 0.0, 0.0, 0.0, 0.0, 0.0])
+    sets = ForbiddenSets(np.arange(n), slots)
+    points = away + rng.normal(size=(2, steps, discs, 2))
+    found = sets.distance(points)
+    assert found.shape == (2, n, steps)
+    for c, i, t in np.ndindex(found.shape):
+        matrix = slots[i, t, 2:6].reshape(2, 2)
+        z = [matrix @ (points[c, t, d] - slots[i, t, :2]) for d in range(discs)]
+        wanted = min(float((zd**4).sum()) ** 0.25 for zd in z)
+        assert found[c, i, t] == pytest.approx(wanted, rel=1e-6, abs=1e-9)
+
+
+def test_nearest_orders_by_normalised_distance() -> None:
+    a = the_set(occupancy_at(30.0, 0.0), 1.0)
+    b = the_set(occupancy_at(12.0, 0.0), 1.0)
+    both = ForbiddenSets(np.array([1, 2]), np.concatenate([a.slots, b.slots]))
+    way = np.zeros((30, 1, 2))
+    np.testing.assert_array_equal(both.nearest(way, 5).ids, [2, 1])
+    np.testing.assert_array_equal(both.nearest(way, 1).ids, [2])
+    # 12 m are four half axes of some 3.2 m, 30 m are nine.
+    np.testing.assert_array_equal(both.nearest(way, 5, within=5.0).ids, [2])
+
+
+# Path and goals
+
+
+@settings(max_examples=40, deadline=None)
+@given(s=st.floats(3.0, 80.0), d=st.floats(-4.0, 4.0), error=st.floats(-3.0, 3.0))
+def test_projection_inverts_the_frame(s: float, d: float, error: float) -> None:
+    path = ReferencePath(circle_route(30.0))
+    row = path.at(np.array(s))
+    point = row[:2] + d * np.array([-np.sin(row[HEADING]), np.cos(row[HEADING])])
+    along, across = path.project(point, np.array(s + error))
+    # The table is linear between points 0.5 m apart: its sagitta is 0.5^2 / (8 * 30) = 1 mm.
+    assert float(along) == pytest.approx(s, abs=0.02)
+    assert float(across) == pytest.approx(d, abs=0.005)
+    assert path.at(np.array(s))[CURVATURE] == pytest.approx(1 / 30)
+
+
+def goal_task(goal: GoalState) -> PlanningTask:
+    return straight_scenario(goals=[goal], final_step=goal.last_step).task
+
+
+def test_goal_region_is_found_along_the_path() -> None:
+    # The path begins 20 m behind the origin; the region is kept 0.2 m from its edges.
+    task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.5), velocity=(3.0, 5.0)))
+    (window,) = locate_goals(task, ReferencePath(task.route))
+    assert window.begin == pytest.approx(60.2, abs=0.3)
+    assert window.end == pytest.approx(79.8, abs=0.3)
+    assert window.right == pytest.approx(-0.8, abs=0.11)
+    assert window.left == pytest.approx(1.3, abs=0.11)
+    assert window.offset == pytest.approx(0.0, abs=0.06)
+
+
+def test_goal_beside_the_path_asks_for_an_offset() -> None:
+    task = goal_task(GoalState(20, 30, box(40.0, 2.0, 60.0, 5.0)))
+    (window,) = locate_goals(task, ReferencePath(task.route))
+    assert 2.2 <= window.offset <= 4.8
+
+
+def test_goal_with_a_foreign_heading_is_not_on_the_path() -> None:
+    task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0), heading=(1.5, 1.6)))
+    assert locate_goals(task, ReferencePath(task.route)) == ()
+
+
+def test_goal_without_a_region_has_no_window() -> None:
+    task = goal_task(GoalState(20, 30))
+    assert locate_goals(task, ReferencePath(task.route)) == ()
+
+
+def test_braking_envelope_is_the_closed_form() -> None:
+    s = np.arange(0.0, 50.0, 1.0)
+    limit = np.where(s < 30.0, 20.0, 5.0)
+    # v^2 = 5^2 + 2 * 2 * (30 - s) before the limit, capped by 20.
+    expected = np.minimum(20.0, np.sqrt(25.0 + 4.0 * np.maximum(30.0 - s, 0.0)))
+    np.testing.assert_allclose(braking_envelope(limit, s, 2.0), expected)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "begin", "cruise", "low", "high"),
+    [
+        pytest.param(0, 50, 0.0, 10.0, 10.0, 10.0, id="free: drive on"),
+        # 50 m in 4.7 s at a steady 10.6 m/s and a little more for the run-up from 10.
+        pytest.param(0, 50, 50.0, 10.0, 10.6, 13.0, id="deadline: faster"),
+        # Not before 10 s, and the region ends after 70 m: at most 7 m/s.
+        pytest.param(100, 120, 50.0, 10.0, 4.0, 7.2, id="opening: slower"),
+    ],
+)
+def test_cruise_meets_the_window(
+    first: int, last: int, begin: float, cruise: float, low: float, high: float
+) -> None:
+    task = goal_task(GoalState(first, last, box(begin, -1.0, begin + 20.0, 1.0)))
+    (window,) = locate_goals(task, ReferencePath(task.route))
+    grid = 20.0 + np.arange(0.0, 120.0, 1.0)
+    limit = np.full_like(grid, 40.0)
+    met, speed = cruise_for_goal(window, 0, DT, 20.0, 10.0, cruise, grid, limit, 2.5)
+    assert met
+    assert low <= speed <= high
+
+
+def test_profile_slows_down_for_a_curve() -> None:
+    path = ReferencePath(circle_route(10.0, turn=6.0))
+    profile = plan_speed(
+        path, (), 0, DT, 1.0, 12.0, replace(FREE, cruise=12.0), MpcConfig(), VEHICLE
+    )
+    # sqrt(4 m/s2 * 10 m) = 6.3 m/s
+    assert profile.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
+    assert np.all(profile.velocity >= 0.0)
+
+
+def test_a_curve_is_taken_no_faster_than_the_wheels_turn() -> None:
+    """From straight to a radius of 10 m within 2 m: the steering's rate binds, not the tyres."""
+    route = straight_route(100.0)
+    along = route.arclength - 50.0
+    curvature = 0.1 * np.clip(along / 2.0, 0.0, 1.0)
+    path = ReferencePath(replace(route, curvature=curvature))
+    (speed,) = curve_speed(path, np.array([51.0]), 9.0, VEHICLE)
+    # atan(wheelbase * 0.1) of steering over a window of 3 m.
+    wanted = VEHICLE.max_steering_rate * 3.0 / np.arctan(VEHICLE.wheelbase * 0.1)
+    assert speed == pytest.approx(wanted, rel=0.02)
+    assert speed < np.sqrt(9.0 / 0.1)
+
+
+def test_who_is_pressed_takes_a_curve_faster() -> None:
+    path = ReferencePath(circle_route(10.0, turn=6.0))
+    calm, pressed = (
+        plan_speed(path, (), 0, DT, 1.0, 12.0, replace(FREE, pressed=p), MpcConfig(), VEHICLE)
+        for p in (False, True)
+    )
+    # sqrt(7 m/s2 * 10 m) = 8.4 m/s against 6.3 m/s
+    assert calm.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
+    assert pressed.velocity[-1] == pytest.approx(np.sqrt(70.0), abs=0.1)
+
+
+def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
+    task = goal_task(GoalState(100, 100, box(-10.0, -1.0, 2.0, 1.0)))
+    path = ReferencePath(task.route)
+    windows = locate_goals(task, path)
+    # The region ends at 22 m of path; the last metre is kept as a reserve.
+    # Up to the edge itself, which the window with its margins falls short of, it is not too late.
+    for position in (21.2, 21.9):
+        profile = plan_speed(path, windows, 0, DT, position, 2.0, FREE, MpcConfig(), VEHICLE)
+        assert profile.velocity[-1] == 0.0
+        assert profile.station_weight[0] > MpcConfig().station_weight
+    missed = plan_speed(path, windows, 0, DT, 23.0, 2.0, FREE, MpcConfig(), VEHICLE)
+    assert missed.velocity[-1] > 2.0
+    late = plan_speed(path, windows, 101, DT, 21.2, 2.0, FREE, MpcConfig(), VEHICLE)
+    assert late.velocity[-1] == pytest.approx(FREE.cruise)
+
+
+def test_a_goal_ends_where_the_ego_has_to_stop() -> None:
+    task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0)))
+    (window,) = locate_goals(task, ReferencePath(task.route), farthest=70.0)
+    assert window.end == 70.0
+    (beyond,) = locate_goals(task, ReferencePath(task.route), farthest=10.0)
+    assert beyond.end == beyond.begin
+
+
+@pytest.mark.parametrize("lap", [0.0, 2.0 * np.pi, -2.0 * np.pi])
+def test_heading_of_a_goal_is_on_the_turn_of_the_path(lap: float) -> None:
+    task = goal_task(GoalState(0, 30, box(0.0, -1.0, 20.0, 1.0), heading=(0.1 + lap, 0.3 + lap)))
+    path = ReferencePath(task.route)
+    (window,) = locate_goals(task, path)
+    assert window.heading == pytest.approx((0.1, 0.3))
+    profile = plan_speed(path, (window,), 0, DT, 25.0, 5.0, FREE, MpcConfig(), VEHICLE)
+    # The path's own heading, 0, is 0.1 rad off: 0.06 rad within the window are asked for.
+    np.testing.assert_allclose(profile.heading[:5], 0.16)
+    assert np.all(profile.heading_weight[:5] > 0.0)
+
+
+def test_a_bend_lends_room_of_the_lane_against() -> None:
+    tight, wide = (
+        replace(circle_route(radius), left=np.full(n, 1.5), outer_left=np.full(n, outer))
+        for radius, outer in ((8.0, 6.0), (400.0, 6.0))
+        for n in (len(circle_route(radius).arclength),)
+    )
+    assert ReferencePath(tight).table[5, LEFT] == pytest.approx(1.5 + 10.0 / 8.0)
+    assert ReferencePath(wide).table[5, LEFT] == pytest.approx(1.5 + 10.0 / 400.0)
+    # Never beyond the drivable area.
+    walled = replace(tight, outer_left=tight.left)
+    assert ReferencePath(walled).table[5, LEFT] == 1.5
+
+
+def seen(users: list[list[float]], velocity: float = 10.0) -> Traffic:
+    """What the ego at x = 1.42 m sees of cars on a straight road."""
+    scenario = straight_scenario(steady_tracks(users), velocity=velocity)
+    observation = observe(scenario, 0, scenario.task.start[None], 1)
+    path = ReferencePath(scenario.task.route)
+    position = 20.0 + VEHICLE.rear_to_centre
+    return look_around(observation, path, VEHICLE, position, 0.0, velocity)
+
+
+def test_traffic_is_sorted_into_leader_and_followers() -> None:
+    free = seen([])
+    assert free.cruise == 10.0
+    # The follower at 14 m/s sets the pace; who comes the other way does not.
+    behind = seen([[-9.1, 0.0, 0.0, 14.0], [60.0, 3.5, 0.0, 2.0], [50.0, 0.0, np.pi, 9.0]])
+    assert behind.cruise == 14.0
+    np.testing.assert_array_equal(behind.followers, [True, False, False])
+    # 9.1 + 1.42 - 4.5 m of gap at 14 m/s are 0.4 s, 15.4 m at 9 m/s are 1.7.
+    assert behind.pressed
+    assert not seen([[-18.5, 0.0, 0.0, 9.0]]).pressed
+    # Gap 16 - 4.5 m; wanted 2 + 0.8 * 10 m: 6 + 0.5 * (11.5 - 10).
+    leader = seen([[17.42, 0.0, 0.0, 6.0]])
+    assert leader.cruise == pytest.approx(6.75, abs=0.01)
+    assert not leader.followers.any()
+
+
+def test_a_stretched_set_keeps_its_front_and_reaches_back() -> None:
+    sets = the_set(occupancy_at(0.0, 0.0), 1.0)
+    longer = stretch_back(sets, np.array([True]), 10.0)
+    front = 1.0 / sets.slots[0, 0, 2]
+    for x, inside in ((front - 0.01, True), (front + 0.01, False), (-front - 9.9, True)):
+        assert (longer.distance(np.full((30, 1, 2), [x, 0.0])).max() < 1.0) == inside
+    np.testing.assert_array_equal(stretch_back(sets, np.array([False]), 10.0).slots, sets.slots)
+
+
+# Sampler
+
+
+def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
+    config = MpcConfig()
+    path = ReferencePath(straight_route())
+    sampler = Sampler(config, VEHICLE, path, DT)
+    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, FREE, config, VEHICLE)
+    start = np.array([0.0, 0.2, 0.0, 10.0, 0.05, 0.0])
+    candidates = sampler.sample(start, 20.0, 0.2, profile)
+    assert np.all(candidates.states[:, 0] == start)
+    assert np.all(np.isfinite(candidates.states))
+    # Positions along a candidate move at its speed, give or take the way to the side.
+    way = np.hypot(*np.moveaxis(np.diff(candidates.states[..., :2], axis=1), -1, 0))
+    assert np.all(way <= candidates.states[:, :-1, 3] * DT * 1.2 + 0.1)
+    ends = candidates.offset[candidates.states[:, -1, 3] > 5.0, -1]
+    assert ends.min() < -0.3  # some go right,
+    assert ends.max() > 3.0  # some to the left lane
+
+
+def test_rating_prefers_the_free_side() -> None:
+    config = MpcConfig()
+    path = ReferencePath(straight_route())
+    sampler = Sampler(config, VEHICLE, path, DT)
+    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, FREE, config, VEHICLE)
+    start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    candidates = sampler.sample(start, 20.0, 0.0, profile)
+    _, radius = disc_offsets(VEHICLE, config.discs)
+    blocked = the_set(occupancy_at(22.0, -0.5), radius)
+    best = int(np.argmin(sampler.rate(candidates, blocked, profile)))
+    distance = blocked.distance(sampler.disc_centres(candidates.states[best, 1:]))
+    assert distance.min() > 0.95
+    assert candidates.offset[best].max() > 1.5
+
+
+# Optimal control problem
+
+
+def straight_stages(
+    mpc: MpcProblem, guess: FloatArray, sets: ForbiddenSets | None = None
+) -> FloatArray:
+    """Stage parameters of a straight road along +x with edges 5 m to both sides."""
+    n = mpc.config.horizon
+    stages = np.zeros((n + 1, mpc.stage_size))
+    stages[:, 0] = guess[:, 0]
+    stages[:, 4] = 10.0
+    for i, ahead in enumerate(station_offsets(VEHICLE)):
+        begin = REFERENCE_SIZE + STATION_SIZE * i
+        stages[:, begin] = guess[:, 0] + ahead
+        stages[:, begin + 4 : begin + 6] = [-5.0, 5.0]
+    stages[:, STAGE_HEAD:] = np.tile(EMPTY_SLOT, mpc.config.slots)
+    if sets is not None:
+        stages[1:, STAGE_HEAD : STAGE_HEAD + SLOT_SIZE] = sets.slots[0]
+    return stages
+
+
+def straight_guess(mpc: MpcProblem, lateral: float = 0.0) -> Guess:
+    n = mpc.config.horizon
+    states = np.zeros((n + 1, 6))
+    states[:, 0] = 10.0 * DT * np.arange(n + 1)
+    states[1:, 1] = lateral
+    states[:, 3] = 10.0
+    return Guess(
+        states,
+        np.zeros((n, 2)),
+        np.zeros(n),
+        states[:, 0].copy(),
+    )
+
+
+def solved(mpc: MpcProblem, start: FloatArray, stages: FloatArray, guess: Guess) -> Solution:
+    """The solution from a guess that enters no set."""
+    return mpc.solve(start, stages, guess, np.zeros((mpc.config.horizon, mpc.config.slots)))
+
+
+@pytest.fixture(scope="module")
+def mpc() -> MpcProblem:
+    return problem(MpcConfig(), VEHICLE, DT)
+
+
+def test_problem_is_built_once(mpc: MpcProblem) -> None:
+    assert problem(MpcConfig(), VEHICLE, DT) is mpc
+
+
+def test_solution_obeys_the_vehicle_model(mpc: MpcProblem) -> None:
+    start = np.array([0.0, 0.6, 0.02, 10.0, 0.05, 0.3])
+    guess = straight_guess(mpc)
+    solution = solved(mpc, start, straight_stages(mpc, guess.states), guess)
+    assert solution.status is SolveStatus.SOLVED
+    state = start[:5]
+    for k in range(mpc.config.horizon):
+        state = VEHICLE.step(state, solution.inputs[k], DT)
+        np.testing.assert_allclose(state, solution.states[k + 1, :5], atol=1e-3)
+    assert abs(solution.states[-1, 1]) < 0.3  # it returns to the path
+    assert np.all(np.abs(solution.inputs[:, 0]) <= VEHICLE.max_steering_rate + 1e-6)
+
+
+def test_road_user_is_passed_outside_its_set(mpc: MpcProblem) -> None:
+    _, radius = disc_offsets(VEHICLE, mpc.config.discs)
+    sets = the_set(occupancy_at(20.0, -0.4), radius)
+    guess = straight_guess(mpc, lateral=2.5)
+    start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    solution = solved(mpc, start, straight_stages(mpc, guess.states, sets), guess)
+    assert solution.usable
+    discs, _ = disc_offsets(VEHICLE, mpc.config.discs)
+    x = solution.states[1:]
+    direction = np.stack([np.cos(x[:, 4]), np.sin(x[:, 4])], axis=-1)
+    points = x[:, None, :2] + discs[:, None] * direction[:, None]
+    assert sets.distance(points).min() >= 1.0 - 1e-2
+    assert solution.set_slack.max() < 1e-3
+
+
+def test_unavoidable_set_has_slack_of_its_own(mpc: MpcProblem) -> None:
+    """One set the ego cannot leave must not loosen another."""
+    _, radius = disc_offsets(VEHICLE, mpc.config.discs)
+    here = the_set(occupancy_at(1.4, 0.0), radius)
+    ahead = the_set(occupancy_at(22.0, -0.4), radius)
+    guess = straight_guess(mpc, lateral=2.5)
+    stages = straight_stages(mpc, guess.states, here)
+    stages[1:, STAGE_HEAD + SLOT_SIZE : STAGE_HEAD + 2 * SLOT_SIZE] = ahead.slots[0]
+    start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    solution = solved(mpc, start, stages, guess)
+    assert solution.usable
+    assert solution.set_slack[:, 0].max() > 0.3
+    assert solution.set_slack[:, 1].max() < 0.01
+
+
+def test_a_set_is_entered_where_it_costs_less_than_the_way_around(mpc: MpcProblem) -> None:
+    """The penalty of a slot is its own: the same set is obeyed or not, as it is priced."""
+    _, radius = disc_offsets(VEHICLE, mpc.config.discs)
+    start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    guess = straight_guess(mpc)
+    slacks = []
+    for price in (0.1, 2000.0):
+        sets = the_set(occupancy_at(25.0, -0.8), radius, np.full(HORIZON, price))
+        stages = straight_stages(mpc, guess.states, sets)
+        slacks.append(solved(mpc, start, stages, guess).set_slack.max())
+    assert slacks[0] > 0.1
+    assert slacks[1] < 0.01
+
+
+def test_fatrop_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another solver finds the same optimum of the same problem."""
+    config = replace(MpcConfig(), horizon=15, slots=2, tolerance=1e-6)
+    ours = MpcProblem(config, VEHICLE, DT)
+    build = ca.nlpsol
+
+    def ipopt(name: str, _: str, nlp: Any, __: Any) -> Any:
+        quiet: dict[str, Any] = {"print_level": 0, "sb": "yes", "tol": 1e-8}
+        options: dict[str, Any] = {"print_time": False, "ipopt": quiet}
+        return build(name, "ipopt", nlp, options)
+
+    monkeypatch.setattr(ca, "nlpsol", ipopt)
+    oracle = MpcProblem(config, VEHICLE, DT)
+    _, radius = disc_offsets(VEHICLE, config.discs)
+    sets = the_set(occupancy_at(12.0, -0.8), radius, PENALTY[:15])
+    guess = straight_guess(ours, lateral=1.5)
+    start = np.array([0.0, 0.4, 0.0, 9.0, 0.03, 0.0])
+    stages = straight_stages(ours, guess.states, sets)
+    a, b = solved(ours, start, stages, guess), solved(oracle, start, stages, guess)
+    assert a.status is b.status is SolveStatus.SOLVED
+    assert a.cost == pytest.approx(b.cost, rel=1e-4)
+    np.testing.assert_allclose(a.states, b.states, atol=5e-3)
+
+
+def test_nan_is_a_status_not_an_exception(mpc: MpcProblem) -> None:
+    guess = straight_guess(mpc)
+    stages = straight_stages(mpc, guess.states)
+    stages[5, 4] = np.nan
+    solution = solved(mpc, np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), stages, guess)
+    assert not solution.usable
+    assert solution.status is SolveStatus.SOLVER_ERROR

@@ -1,0 +1,126 @@
+"""The optimisation planner in closed loop on made-up scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.planner import MpcPlanner
+from dosplan_simple.predictors import ConstantVelocityPredictor
+from dosplan_simple.sets import ErrorCirclePredictor
+from shapely.geometry import box
+
+from dosplan.scenario.synthetic import steady_tracks, straight_scenario
+from dosplan.scoring.score import score
+from dosplan.simulation.loop import run_episode
+from dosplan.types import Arm, Episode, EpisodeEnd, GoalState, Outcome, Scenario, SolveStatus
+from dosplan.vehicle import VehicleParameters
+
+VEHICLE = VehicleParameters()
+
+
+def drive(
+    users: Sequence[Sequence[float]],
+    velocity: float,
+    goals: Sequence[GoalState],
+    arm: Arm = Arm.WITH_DOS,
+    config: MpcConfig | None = None,
+) -> tuple[Scenario, Episode]:
+    last = max(goal.last_step for goal in goals)
+    scenario = straight_scenario(
+        steady_tracks(users), velocity=velocity, goals=goals, final_step=last
+    )
+    planner = MpcPlanner(settings=config)
+    return scenario, run_episode(scenario, planner, ErrorCirclePredictor(), arm)
+
+
+@pytest.mark.parametrize("arm", list(Arm))
+@pytest.mark.parametrize(
+    ("users", "velocity", "goal"),
+    [
+        pytest.param([], 10.0, GoalState(40, 50, box(38, -1, 60, 1)), id="free road"),
+        pytest.param(
+            [[45.0, 0.0, 0.0, 0.0], [20.0, 3.5, 0.0, 9.0], [0.0, 3.5, 0.0, 9.0]],
+            10.0,
+            GoalState(50, 50),
+            id="stopped leader, busy left lane",
+        ),
+        pytest.param([[-14.0, 0.0, 0.0, 13.0]], 9.0, GoalState(50, 50), id="follower that hurries"),
+        pytest.param(
+            [], 10.0, GoalState(25, 45, box(25, -1, 45, 1), velocity=(4.0, 5.0)), id="slow goal"
+        ),
+        pytest.param([], 10.0, GoalState(55, 60, box(20, -1, 32, 1)), id="wait for the opening"),
+        pytest.param([], 8.0, GoalState(35, 50, box(40, 2.2, 60, 4.8)), id="goal in the left lane"),
+    ],
+)
+def test_scene_is_solved(
+    users: Sequence[Sequence[float]], velocity: float, goal: GoalState, arm: Arm
+) -> None:
+    scenario, episode = drive(users, velocity, [goal], arm)
+    row = score(scenario, episode, VEHICLE)
+    assert row.outcome is Outcome.SUCCESS, row
+    assert row.fallback_cycles == 0
+
+
+@pytest.mark.parametrize("arm", list(Arm))
+def test_slow_leader_is_passed_where_the_sets_allow_it(arm: Arm) -> None:
+    """Two lanes of 3.5 m: room to pass a car, not a car whose set has grown to metres."""
+    goal = GoalState(50, 60, box(55, -2, 90, 5))
+    scenario, episode = drive([[30.0, 0.0, 0.0, 4.0]], 12.0, [goal], arm)
+    row = score(scenario, episode, VEHICLE)
+    assert row.safe
+    if arm is Arm.WITHOUT_DOS:
+        assert row.outcome is Outcome.SUCCESS
+
+
+def test_reports_tell_about_the_solve() -> None:
+    _, episode = drive([[25.0, 0.0, 0.0, 3.0]], 12.0, [GoalState(20, 20)])
+    reports = [plan.report for plan in episode.plans]
+    assert all(report.status is SolveStatus.SOLVED for report in reports)
+    assert all(report.iterations > 0 and report.seconds > 0.0 for report in reports)
+
+
+def test_fallback_is_declared_and_drives_on() -> None:
+    """A solver that is given one iteration never converges: the fallback has to drive."""
+    config = replace(MpcConfig(), max_iterations=1, accept_residual=1e-12)
+    scenario, episode = drive([[60.0, 0.0, 0.0, 6.0]], 10.0, [GoalState(30, 30)], config=config)
+    assert episode.end is EpisodeEnd.GOAL_REACHED
+    fallbacks = [plan for plan in episode.plans if plan.report.fallback == "sampled"]
+    assert len(fallbacks) > 10
+    assert all(plan.report.status is not SolveStatus.SOLVED for plan in fallbacks)
+    for plan in fallbacks[:3]:
+        state = plan.states[0]
+        for k, u in enumerate(plan.inputs):
+            state = VEHICLE.step(state, u, 0.1)
+            np.testing.assert_allclose(state, plan.states[k + 1], atol=1e-9)
+    assert score(scenario, episode, VEHICLE).outcome is Outcome.SUCCESS
+
+
+def test_short_sets_are_a_named_failure() -> None:
+    scenario = straight_scenario(velocity=10.0)
+    episode = run_episode(
+        scenario, MpcPlanner(), ConstantVelocityPredictor(horizon=10), Arm.WITH_DOS
+    )
+    assert episode.end is EpisodeEnd.PLANNER_FAILURE
+    assert episode.error is not None
+    assert "raise the predictor's horizon" in episode.error
+
+
+def test_an_episode_leaves_no_trace_in_the_next() -> None:
+    goal = [GoalState(15, 15)]
+    users = [[25.0, 0.0, 0.0, 3.0]]
+    scenario = straight_scenario(steady_tracks(users), velocity=12.0, goals=goal, final_step=15)
+    planner, predictor = MpcPlanner(), ErrorCirclePredictor()
+    first = run_episode(scenario, planner, predictor, Arm.WITH_DOS)
+    run_episode(straight_scenario(velocity=3.0), planner, predictor, Arm.WITH_DOS)
+    again = run_episode(scenario, planner, predictor, Arm.WITH_DOS)
+    np.testing.assert_array_equal(first.states, again.states)
+
+
+def test_two_hundred_road_users_fit() -> None:
+    users = [[20.0 + 4.0 * i, 3.5 + 30.0 * (i % 2), 0.0, 5.0] for i in range(200)]
+    _, episode = drive(users, 8.0, [GoalState(5, 5)])
+    assert episode.end is EpisodeEnd.GOAL_REACHED

@@ -1,0 +1,262 @@
+"""The peers' adapters: what they hand over, what they make of the answer, and how they drive."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dosplan.api import NoPlanError, Planner
+from dosplan.plugins.registry import RegistryError, create_planner, find_planner
+from dosplan.scenario.synthetic import (
+    LANE_WIDTH,
+    growing_sets,
+    steady_tracks,
+    straight_map,
+    straight_route,
+    straight_scenario,
+)
+from dosplan.simulation.loop import observe
+from dosplan.types import EGO_VELOCITY, FloatArray, Observation, Occupancy, Plan, Scenario
+from dosplan.vehicle import VehicleParameters
+from tests.support.peers import NEEDS, skip_where_missing
+
+if find_spec("commonroad_dc") is None:
+    pytest.skip("needs commonroad-drivability-checker (extra oracle)", allow_module_level=True)
+
+from dosplan_peers.peer import Peer, Trajectory, follow
+from dosplan_peers.world import (
+    commonroad_scenario,
+    moving_rectangles,
+    reference_path,
+    set_sizes,
+    swept,
+)
+
+VEHICLE = VehicleParameters()
+PEERS = [pytest.param(name, marks=skip_where_missing(name)) for name in NEEDS]
+
+
+def one_set(
+    semi_axes: tuple[float, float], angle: float, heading: float, valid: tuple[bool, ...] = (True,)
+) -> Occupancy:
+    t = len(valid)
+    return Occupancy(
+        ids=np.array([7]),
+        centre=np.zeros((1, t, 2)),
+        semi_axes=np.tile(semi_axes, (1, t, 1)),
+        angle=np.full((1, t), angle),
+        valid=np.array([valid]),
+        footprint=np.array([[4.0, 2.0]]),
+        heading=np.full((1, t), heading),
+    )
+
+
+@pytest.mark.parametrize(
+    ("semi_axes", "angle", "heading", "size"),
+    [
+        ((0.0, 0.0), 0.3, 1.2, (4.0, 2.0)),  # No set: the footprint.
+        ((3.0, 1.0), 0.5, 0.5, (10.0, 4.0)),  # Along the heading: 4 + 2 * 3 and 2 + 2 * 1.
+        ((3.0, 1.0), 0.5 + np.pi / 2.0, 0.5, (6.0, 8.0)),  # Across it: 4 + 2 * 1 and 2 + 2 * 3.
+    ],
+)
+def test_a_rectangle_grows_by_the_set(
+    semi_axes: tuple[float, float], angle: float, heading: float, size: tuple[float, float]
+) -> None:
+    assert set_sizes(one_set(semi_axes, angle, heading))[0, 0] == pytest.approx(size)
+
+
+@given(st.floats(0.0, 5.0), st.floats(0.0, 5.0), st.floats(-3.2, 3.2), st.floats(-3.2, 3.2))
+@settings(max_examples=50, deadline=None)
+def test_the_rectangle_is_the_smallest_that_holds_the_set(
+    first: float, second: float, angle: float, heading: float
+) -> None:
+    around = np.linspace(0.0, 2.0 * np.pi, 721)
+    x, y = first * np.cos(around), second * np.sin(around)
+    off = angle - heading
+    along, across = x * np.cos(off) - y * np.sin(off), x * np.sin(off) + y * np.cos(off)
+    length, width = set_sizes(one_set((first, second), angle, heading))[0, 0]
+    # A fan of half a degree misses the extreme by a share of 1 - cos(0.25 degrees) < 1e-5.
+    assert 2.0 * along.max() + 4.0 == pytest.approx(length, abs=1e-4)
+    assert 2.0 * across.max() + 2.0 == pytest.approx(width, abs=1e-4)
+
+
+def test_each_stretch_on_the_scene_is_an_obstacle_of_its_own() -> None:
+    sets = one_set((1.0, 0.0), 0.0, 0.0, (False, True, True, False, True))
+    spans = [(o.time_start_idx(), o.time_end_idx()) for o in moving_rectangles(sets, 10, 5)]
+    assert spans == [(12, 13), (15, 15)]  # The first column is one step after the present one.
+    assert [o.time_end_idx() for o in moving_rectangles(sets, 10, 2)] == [12]
+    assert moving_rectangles(replace(sets, valid=np.zeros((1, 5), dtype=np.bool_)), 10, 5) == []
+    box = moving_rectangles(sets, 10, 5)[0].obstacle_at_time(12)
+    assert (box.r_x(), box.r_y()) == pytest.approx((3.0, 1.0))
+
+
+def test_what_is_swept_holds_both_poses() -> None:
+    from commonroad_dc import pycrcc
+
+    sets = one_set((0.0, 0.0), 0.0, 0.0, (True, True))
+    sets = replace(sets, centre=np.array([[[0.0, 0.0], [20.0, 0.0]]]))
+    (moving,) = moving_rectangles(sets, 0, 2)
+    between = pycrcc.RectOBB(0.5, 0.5, 0.0, 10.0, 0.0)
+    assert not moving.obstacle_at_time(1).collide(between)
+    assert swept(moving).obstacle_at_time(1).collide(between)
+    (standing,) = moving_rectangles(sets, 0, 1)
+    assert swept(standing) is standing
+
+
+@pytest.mark.parametrize("method", ["obb_rectangles", "aligned_triangulation"])
+def test_the_road_has_edges_and_no_others(method: str) -> None:
+    from commonroad_dc import pycrcc
+    from commonroad_dc.boundary.boundary import create_road_boundary_obstacle
+
+    scenario = commonroad_scenario(straight_map(), 0.1)
+    _, edge = create_road_boundary_obstacle(
+        scenario, method=method, **({"axis": 2} if method == "aligned_triangulation" else {})
+    )
+    low, high = -0.5 * LANE_WIDTH, 1.5 * LANE_WIDTH
+    for y, hits in ((low + 1.0, False), (0.5 * LANE_WIDTH, False), (high - 1.0, False)):
+        assert edge.collide(pycrcc.RectOBB(2.0, 0.9, 0.0, 50.0, y)) is hits
+    for y in (low + 0.8, high - 0.8):
+        assert edge.collide(pycrcc.RectOBB(2.0, 0.9, 0.0, 50.0, y))
+
+
+def test_the_path_goes_on_straight_at_both_ends() -> None:
+    route = straight_route()
+    path = reference_path(route)
+    assert np.allclose(np.diff(path, axis=0), [0.5, 0.0])
+    assert path[0, 0] == pytest.approx(route.path[0, 0] - 29.5)
+    assert path[-1, 0] == pytest.approx(route.path[-1, 0] + 29.5)
+
+
+class Ramp(Peer):
+    """Speeds up more and more, and remembers what it was told."""
+
+    name = "ramp-v1"
+
+    def build(self, *anything: object) -> None:
+        self.told: list[tuple[float, FloatArray | None]] = []
+
+    def find(
+        self,
+        observation: Observation,
+        occupancy: Occupancy,
+        acceleration: float,
+        frenet: FloatArray | None,
+    ) -> Trajectory:
+        self.told.append((acceleration, frenet))
+        return trajectory(np.zeros(4), 10.0 + 0.1 * np.arange(4.0), fallback="ramp")
+
+
+def trajectory(
+    steering: FloatArray, velocity: FloatArray, fallback: str | None = None
+) -> Trajectory:
+    """A trajectory along the x axis; everything else counts the steps."""
+    steps = np.arange(float(len(steering)))
+    position = np.stack([steps, np.zeros_like(steps)], axis=1)
+    return Trajectory(steering, velocity, steps, position, np.tile(steps[:, None], 6), fallback)
+
+
+def test_what_was_foreseen_comes_back_until_the_next_episode() -> None:
+    scenario, ramp = straight_scenario(), Ramp()
+    for _ in range(2):
+        ramp.reset(scenario.task, scenario.road_map, VEHICLE)
+        for step, x in ((0, 0.0), (2, 2.008), (3, 1.012), (9, 3.0)):  # Foreseen: 2, 1, 3.
+            seen = observe(scenario, step, scenario.task.start[None], 31)
+            seen = replace(seen, ego=seen.ego + np.array([x, 0.0, 0.0, 0.0, 0.0]))
+            plan = ramp.plan(seen, growing_sets(seen))
+        accelerations, states = zip(*ramp.told, strict=True)
+        assert accelerations == (0.0, 2.0, 1.0, 3.0)
+        # At first nothing was foreseen; 8 mm off the foreseen place is near, 12 mm is not.
+        assert [None if state is None else state.tolist() for state in states] == [
+            None,
+            [2.0] * 6,
+            None,
+            [3.0] * 6,
+        ]
+    assert plan.report.fallback == "ramp"
+
+
+def test_a_trajectory_that_can_be_driven_is_driven_as_it_is() -> None:
+    ego = VEHICLE.state_at(np.zeros(2), 0.3, 8.0, 0.05)
+    inputs = np.stack([np.linspace(-0.2, 0.2, 20), np.linspace(2.0, -3.0, 20)], axis=1)
+    states = [ego]
+    for u in inputs:
+        states.append(VEHICLE.step(states[-1], u, 0.1))
+    wanted = np.stack(states)
+    plan = follow(ego, trajectory(wanted[:, 2], wanted[:, 3]), VEHICLE, 0.1)
+    assert np.allclose(plan.states, wanted, atol=1e-9)
+    assert np.allclose(plan.inputs, inputs, atol=1e-9)
+
+
+def test_a_trajectory_that_cannot_be_driven_is_cut_to_what_can() -> None:
+    ego = VEHICLE.state_at(np.zeros(2), 0.0, 8.0)
+    plan = follow(ego, trajectory(np.full(3, 0.5), np.array([8.0, 0.0, 0.0])), VEHICLE, 0.1)
+    assert plan.inputs[0, 0] == pytest.approx(VEHICLE.max_steering_rate)
+    assert -VEHICLE.max_acceleration <= plan.inputs[0, 1] < -10.0
+
+
+@pytest.mark.parametrize(("name", "module"), [(k, v[0]) for k, v in NEEDS.items()])
+def test_a_peer_that_is_not_installed_says_what_to_do(
+    name: str, module: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.delitem(sys.modules, f"dosplan_peers.{name}", raising=False)
+    with pytest.raises(RegistryError, match=r"pip install 'dosplan\[peers\]'") as caught:
+        find_planner(name)
+    assert "\n" not in str(caught.value)
+
+
+def first_plan(name: str, scenario: Scenario, semi_axis: float = 0.0) -> Plan:
+    """The first plan; the sets are circles of a radius, m."""
+    planner: Planner = create_planner(name, 0)
+    planner.reset(scenario.task, scenario.road_map, VEHICLE)
+    seen = observe(scenario, scenario.task.start_step, scenario.task.start[None], 31)
+    sets = growing_sets(seen)
+    return planner.plan(seen, replace(sets, semi_axes=np.full(sets.semi_axes.shape, semi_axis)))
+
+
+def behind(gap: float, *, velocity: float = 0.0, ego: float = 10.0) -> Scenario:
+    """Cars side by side on both lanes, whose rears are so far ahead of the ego's front, m."""
+    front = VEHICLE.rear_to_centre + 0.5 * VEHICLE.length
+    x = front + gap + 0.5 * 4.5
+    rows: list[FloatArray] = [np.array([x, y, 0.0, velocity]) for y in (0.0, LANE_WIDTH)]
+    return straight_scenario(steady_tracks(np.stack(rows)), velocity=ego)
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_peer_keeps_its_speed_and_lane_where_nothing_is_in_the_way(name: str) -> None:
+    states = first_plan(name, straight_scenario()).states
+    # The reactive planner's samples are steps of 0.6 m/s, and 10 m/s need not be one of them.
+    assert np.abs(states[:, EGO_VELOCITY] - 10.0).max() < 0.6
+    assert np.abs(states[:, 1]).max() < 0.05
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_peer_stays_clear_of_a_wall_of_cars(name: str) -> None:
+    plan = first_plan(name, behind(16.0))
+    assert plan.report.fallback is None
+    assert plan.states[:, 0].max() < 16.0
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_set_asks_for_room_that_a_position_does_not(name: str) -> None:
+    wall = behind(19.0)
+    alone, with_set = (first_plan(name, wall, radius) for radius in (0.0, 4.0))
+    assert with_set.states[:, 0].max() < 15.0 < alone.states[:, 0].max() < 19.0
+
+
+@pytest.mark.parametrize("name", PEERS)
+def test_a_peer_in_a_hopeless_place_does_what_its_own_script_does(name: str) -> None:
+    hopeless = behind(2.0, ego=15.0)
+    if name == "reactive":
+        with pytest.raises(NoPlanError):
+            first_plan(name, hopeless)
+    else:
+        plan = first_plan(name, hopeless)
+        assert plan.report.fallback == "stopping"
+        assert plan.states[-1, EGO_VELOCITY] < 1.0

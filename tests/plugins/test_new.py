@@ -1,0 +1,134 @@
+"""``dosplan new`` writes plug-ins that work as they are, and nothing over anything."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from dosplan.cli.command import BAD_INPUT, OK
+from dosplan.cli.main import main
+from dosplan.plugins.conformance import check_planner, check_predictor
+from dosplan.plugins.registry import RegistryError, create_planner, find_planner, find_predictor
+from dosplan.results.folder import read_rows
+from dosplan.types import Outcome
+from tests.support.scenes import Goal, Problem, rectangle, write_scenario_xml
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(["new", *arguments]) == BAD_INPUT
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    (line,) = captured.err.splitlines()
+    return line
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "class_name"),
+    [
+        ("planner", "careful", "CarefulPlanner"),
+        ("planner", "my_idea2", "MyIdea2Planner"),
+        ("planner", "plan", "PlanPlanner"),  # Hides nothing that its file imports.
+        ("planner", "near_planner", "NearPlanner"),
+        ("predictor", "straight", "StraightPredictor"),
+        ("predictor", "settings", "SettingsPredictor"),
+    ],
+)
+def test_what_is_written_passes_the_check(
+    kind: str,
+    name: str,
+    class_name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", kind, name]) == OK
+    spec = f"{name}.py:{class_name}"
+    report = (
+        check_planner(find_planner(spec))
+        if kind == "planner"
+        else check_predictor(find_predictor(spec))
+    )
+    assert report.failures == ()
+    assert report.plugin == f"{name.replace('_', '-')}-v1"
+    assert "$" not in Path(f"{name}.py").read_text(encoding="utf-8")
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].startswith(f"wrote {name}.py")
+    assert shlex.split(shown[1]) == ["dosplan", "check", spec]
+    assert shlex.split(shown[2]) == ["dosplan", "run", f"--{kind}", spec, "--limit", "1"]
+
+
+def test_the_pair_of_them_reaches_a_goal(tmp_path: Path) -> None:
+    # The goal begins 5 m ahead of the ego, which starts at 10 m/s and has 4 s.
+    goal = Goal(first_step=0, last_step=40, position=rectangle(10.0, 3.0, 20.0, 0.0))
+    scene = tmp_path / "scenes" / "ZAM_Test-0_1_T-1.xml"
+    scene.parent.mkdir()
+    write_scenario_xml(scene, problems=[Problem(goals=(goal,))], benchmark_id=scene.stem)
+    folder = tmp_path / "with space"
+    assert main(["new", "planner", "mine", "--out", str(folder)]) == OK
+    assert main(["new", "predictor", "theirs", "--out", str(folder)]) == OK
+    plugins = ["--planner", f"{folder}/mine.py:MinePlanner"]
+    plugins += ["--predictor", f"{folder}/theirs.py:TheirsPredictor"]
+    options = ["--set", "planner.gap=12", "--set", "predictor.spread=0.3"]
+    out = tmp_path / "run"
+    arguments = [*plugins, *options, "--workers", "1", "--limit", "1", "--out", str(out)]
+    assert main(["run", str(scene.parent), *arguments]) == OK
+    rows = read_rows(out / "scenarios.jsonl")
+    assert [row.outcome for row in rows] == [Outcome.SUCCESS, Outcome.SUCCESS]
+
+
+def test_its_options_are_typed(tmp_path: Path) -> None:
+    assert main(["new", "planner", "mine", "--out", str(tmp_path)]) == OK
+    spec = f"{tmp_path}/mine.py:MinePlanner"
+    assert vars(create_planner(spec, 0, {"gap": 12}))["chosen"].gap == 12.0
+    with pytest.raises(RegistryError, match=r"no option 'gab'; did you mean 'gap'\?"):
+        create_planner(spec, 0, {"gab": 12})
+    with pytest.raises(RegistryError, match="option gap is 'wide', expected float"):
+        create_planner(spec, 0, {"gap": "wide"})
+    with pytest.raises(RegistryError, match="steps is 0; a plan needs 1 or more"):
+        create_planner(spec, 0, {"steps": 0})
+
+
+@pytest.mark.parametrize("name", ["", "My", "my-idea", "2nd", "_mine", "class", "a/b", "naïve"])
+def test_a_name_that_is_none_is_refused(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refusal(capsys, "planner", name, "--out", str(tmp_path))
+    assert f"the name {name!r} must be lower-case letters" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["numpy", "json", "dosplan", "dosplan_mpc"])
+def test_a_name_that_would_hide_a_module_is_refused(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = refusal(capsys, "predictor", name, "--out", str(tmp_path))
+    assert f"Python has a module {name} already" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text("precious")
+    line = refusal(capsys, "planner", "mine", "--out", str(tmp_path))
+    assert f"{mine} exists already; choose another name" in line
+    assert mine.read_text() == "precious"
+
+
+def test_nothing_is_written_through_a_link(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.py").symlink_to(tmp_path / "elsewhere.py")
+    assert "cannot write" in refusal(capsys, "planner", "mine", "--out", str(tmp_path))
+    assert not (tmp_path / "elsewhere.py").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    line = refusal(capsys, "planner", "mine", "--out", str(file / "folder"))
+    assert f"cannot write {file / 'folder' / 'mine.py'}: Not a directory" in line

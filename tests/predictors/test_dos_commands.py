@@ -1,0 +1,113 @@
+"""``dosplan data`` and ``dosplan train``: what they make and how they complain."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+from dosplan_dos.commands import DATA, TRAIN
+from dosplan_dos.training import load_module
+from dosplan_net.cache import WindowCache
+
+from dosplan.cli.command import Command, CommandError, offered_commands
+from tests.predictors.conftest import CACHED
+from tests.support.models import save_network
+
+
+def run(command: Command, *arguments: object) -> int:
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    return command.run(parser.parse_args([str(argument) for argument in arguments]))
+
+
+def train(what: str, config: Path, cache: Path, out: Path, *more: object) -> int:
+    options = ("--config", config, "--data", cache, "--validation", cache, "--out", out)
+    return run(TRAIN, what, *options, *more)
+
+
+def test_the_commands_are_offered() -> None:
+    assert {"data", "train"} <= offered_commands().keys()
+
+
+def test_data_build_makes_a_cache_and_names_what_it_leaves_out(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    for name in CACHED[:2]:
+        file = recordings / f"{name}.xml.gz"
+        (source / file.name).write_bytes(file.read_bytes())
+    arguments = ("build", source, "--out", tmp_path / "cache", "--every", 20)
+    assert run(DATA, *arguments) == 0
+    cache = WindowCache.open(tmp_path / "cache")
+    assert cache.recordings == tuple(f"{name}.xml.gz" for name in CACHED[:2])
+    told = capsys.readouterr().out
+    assert f"{len(cache.pose)} windows in {cache.scenes} scenes of 2 recordings" in told
+    (source / "half.xml").write_text("<commonRoad")
+    assert run(DATA, *arguments) == 1
+    assert "left out: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--every", "--workers"])
+def test_data_build_wants_positive_numbers(tmp_path: Path, option: str) -> None:
+    with pytest.raises(CommandError, match="must be 1 or more"):
+        run(DATA, "build", tmp_path, "--out", tmp_path / "cache", option, 0)
+
+
+@pytest.mark.parametrize(
+    ("what", "text"),
+    [
+        ("net", "fods: 3"),
+        ("net", "folds: many"),
+        ("net", "fit: {learning_rate: quick}"),
+        ("net", "fit: {learning_rate: [1.0]}"),
+        ("net", "- folds"),
+        ("net", "folds: ["),
+        ("net", "\0"),
+        ("dos", "modules: {a: {variant: square}}"),
+        ("dos", "modules: {a: {loss: {name: papr}}}"),
+        ("dos", "modules: {a: {base: magic}}"),
+        ("dos", "modules: {a: {loss: {kk: 1}}}"),
+    ],
+)
+def test_a_wrong_configuration_is_one_line(tmp_path: Path, what: str, text: str) -> None:
+    path = tmp_path / "config.yaml"
+    path.write_text(text)
+    with pytest.raises(CommandError) as caught:
+        train(what, path, tmp_path, tmp_path / "out")
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_missing_is_named(window_cache: Path, tmp_path: Path) -> None:
+    absent, config = tmp_path / "absent", tmp_path / "config.yaml"
+    with pytest.raises(CommandError, match="absent"):
+        train("net", absent, window_cache, tmp_path)
+    config.write_text("modules: {a: {features: 12, hidden: 8}}")
+    with pytest.raises(CommandError, match="absent: not a complete cache"):
+        train("dos", config, absent, tmp_path, "--network", tmp_path)
+    with pytest.raises(CommandError, match=r"absent: holds no fold-0\.safetensors"):
+        train("dos", config, window_cache, tmp_path, "--network", absent)
+    with pytest.raises(CommandError, match="--network DIR is needed"):
+        train("dos", config, window_cache, tmp_path)
+    with pytest.raises(CommandError, match="--only b: there is no such part"):
+        train("dos", config, window_cache, tmp_path, "--only", "b")
+
+
+def test_numbers_may_be_written_as_yaml_likes(window_cache: Path, tmp_path: Path) -> None:
+    """A training of sets, start to end, from a file in which 1e-3 is text and 1 an integer."""
+    config = tmp_path / "config.yaml"
+    config.write_text(
+        "fit: {steps: 3, validate_every: 3, learning_rate: 1e-3, clip: 1}\n"
+        "batch: 16\n"
+        "modules:\n"
+        "  a: {features: 12, hidden: 8, variant: v2, loss: {name: paper, alpha: 2}}\n"
+        "  b: {features: 12, hidden: 8, base: constant-velocity}\n"
+    )
+    for name in ("net", "fold-0", "fold-1"):
+        save_network(tmp_path / f"{name}.safetensors")
+    assert train("dos", config, window_cache, tmp_path / "out", "--network", tmp_path) == 0
+    module = load_module(tmp_path / "out" / "a.safetensors")
+    assert (module.config.variant, module.config.loss.alpha) == ("v2", 2.0)
+    assert load_module(tmp_path / "out" / "b.safetensors").config.base == "constant-velocity"

@@ -1,0 +1,139 @@
+"""The module of sets and its training: what it learns from, and the figures it is judged by."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from dosplan_dos.losses import LossConfig
+from dosplan_dos.module import OccupancyModule, SetConfig
+from dosplan_dos.shapes import Variant
+from dosplan_dos.training import (
+    SetTraining,
+    Windows,
+    coverage_figures,
+    describe_config,
+    encode_windows,
+    load_module,
+    read_config,
+    scores,
+    train_module,
+)
+from dosplan_net.cache import WindowCache
+from dosplan_net.network import constant_velocity
+from dosplan_net.optimise import FitSettings
+
+from tests.support.models import TINY, save_network, save_sets
+
+CONFIG = SetConfig(features=TINY.hidden, hidden=8)
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return save_network(tmp_path_factory.mktemp("weights") / "net.safetensors")
+
+
+@pytest.fixture
+def windows(window_cache: Path, network: Path) -> Windows:
+    return encode_windows([WindowCache.open(window_cache)], network, "net")
+
+
+def test_windows_are_of_those_that_can_move(window_cache: Path, network: Path) -> None:
+    cache = WindowCache.open(window_cache)
+    kept = cache.moves & cache.future_valid[:, 0]
+    owner = np.repeat(cache.scene_recording, np.diff(cache.scene_start))
+    windows = encode_windows([cache, cache], network, "constant-velocity")
+    np.testing.assert_array_equal(windows.future[: kept.sum()], cache.future[kept][..., :2])
+    # Recordings of the second cache come after those of the first.
+    expected = np.concatenate([owner[kept], owner[kept] + len(cache.recordings)])
+    np.testing.assert_array_equal(windows.recording, expected)
+    assert torch.equal(windows.trajectory, constant_velocity(windows.velocity))
+
+
+def test_what_was_foretold_takes_the_place_of_the_networks_own(
+    window_cache: Path, network: Path
+) -> None:
+    cache = WindowCache.open(window_cache)
+    foretold = np.arange(len(cache.pose) * 80, dtype=np.float32).reshape(-1, 40, 2)
+    kept = cache.moves & cache.future_valid[:, 0]
+    windows = encode_windows([cache], network, "net", [foretold])
+    np.testing.assert_array_equal(windows.trajectory, foretold[kept])
+    own = encode_windows([cache], network, "net")
+    assert torch.equal(windows.features, own.features)
+    assert not torch.equal(windows.trajectory, own.trajectory)
+
+
+@pytest.mark.parametrize("variant", [Variant.FREE, Variant.V2])
+def test_every_parameter_of_the_module_learns(windows: Windows, variant: Variant) -> None:
+    torch.manual_seed(0)
+    module = OccupancyModule(replace(CONFIG, variant=variant))
+    sets, error, valid = windows.sets(module, torch.arange(40))
+    LossConfig("paper").make()(sets, error, valid).backward()
+    for name, parameter in module.named_parameters():
+        assert parameter.grad is not None, name
+        assert torch.isfinite(parameter.grad).all(), name
+        assert parameter.grad.abs().max() > 0, name
+
+
+def test_scores_are_distances_and_nan_where_nothing_is_recorded(
+    windows: Windows, tmp_path: Path
+) -> None:
+    module = load_module(save_sets(tmp_path / "sets.safetensors"))
+    found = scores(module, windows)
+    known = windows.valid[:, 1::2].numpy()
+    assert not known.all()
+    np.testing.assert_array_equal(np.isfinite(found), known)
+    row = int(np.flatnonzero(known.all(axis=1))[0])
+    with torch.no_grad():
+        sets, _, _ = windows.sets(module, torch.tensor([row]))
+    a, b = sets.semi_axes[0, -1].tolist()
+    angle = 0.5 * math.atan2(*reversed(sets.double_angle[0, -1].tolist()))
+    x, y = (windows.future[row, -1] - windows.trajectory[row, -1]).tolist()
+    ahead = x * math.cos(angle) + y * math.sin(angle)
+    aside = y * math.cos(angle) - x * math.sin(angle)
+    assert found[row, -1] == pytest.approx(math.hypot(ahead / a, aside / b), rel=1e-4)
+
+
+def test_figures_are_shares_and_mean_areas(windows: Windows, tmp_path: Path) -> None:
+    module = load_module(save_sets(tmp_path / "sets.safetensors"))
+    figures = coverage_figures(module, windows)
+    distance = scores(module, windows)
+    for second in (1, 2, 3, 4):
+        at = distance[:, 5 * second - 1]
+        at = at[np.isfinite(at)]
+        assert figures[f"cr_{second}"] == pytest.approx(np.mean(at <= 1))
+        factor = np.quantile(at, 0.9)
+        expected = factor**2 * figures[f"osa_{second}"]
+        assert figures[f"osa90_{second}"] == pytest.approx(expected, rel=1e-4)
+    mean = np.exp(np.mean([np.log(figures[f"osa90_{s}"]) for s in (1, 2, 3, 4)]))
+    assert next(iter(figures)) == "osa90"  # What training selects by.
+    assert figures["osa90"] == pytest.approx(mean)
+
+
+def test_training_resumes_and_the_seed_makes_it_the_same(windows: Windows, tmp_path: Path) -> None:
+    fit = FitSettings(steps=12, validate_every=4, learning_rate=0.01)
+    training = SetTraining(fit=fit, batch=32)
+    whole = train_module("a", CONFIG, training, windows, windows, tmp_path / "whole")
+
+    def interrupt(line: str) -> None:
+        if " step 8 " in line:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train_module("a", CONFIG, training, windows, windows, tmp_path / "parts", interrupt)
+    parts = train_module("a", CONFIG, training, windows, windows, tmp_path / "parts")
+    assert parts == whole
+    # The loss has multipliers of its own, which must survive the interruption as well.
+    one, other = (load_module(tmp_path / p / "a.safetensors") for p in ("whole", "parts"))
+    for name, value in one.state_dict().items():
+        assert torch.equal(other.state_dict()[name], value), name
+
+
+def test_a_config_comes_back() -> None:
+    config = SetConfig(Variant.V1, LossConfig("paper", k=0.5), "constant-velocity", 12, 8)
+    assert read_config(describe_config(config)) == config
+    assert read_config({}) == SetConfig()

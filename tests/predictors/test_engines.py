@@ -1,0 +1,257 @@
+"""The trained predictors under onnxruntime: the same sets as under torch, from files that fit."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from dosplan_dos.commands import EXPORT
+from dosplan_dos.predictor import DosPredictor
+from dosplan_dos.shapes import Variant
+from dosplan_net.engine import EngineError, origin
+from dosplan_net.predictor import NetPredictor
+from shapely.geometry import box
+
+from dosplan.cli.command import CommandError
+from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
+from dosplan.simulation.loop import observe
+from dosplan.types import FloatArray, Observation, Occupancy, RoadMap, RoadUserKind
+from tests.support.factories import steady_tracks
+from tests.support.models import save_network, save_sets, seen_at
+
+pytest.importorskip("onnxruntime", reason='needs onnxruntime: pip install "dosplan[onnx]"')
+onnx = pytest.importorskip("onnx", reason='needs onnx: pip install "dosplan[onnx]"')
+
+CLOSE = 1e-3  # m
+# One of each family.
+REFS = {ref.id.partition("-")[0]: ref for ref in find_scenarios("suite")}.values()
+
+
+def export(*arguments: object) -> int:
+    """``dosplan export``."""
+    parser = argparse.ArgumentParser()
+    EXPORT.add_arguments(parser)
+    return EXPORT.run(parser.parse_args([str(argument) for argument in arguments]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network and a module of each variant, with their exported files."""
+    made = tmp_path_factory.mktemp("weights")
+    network = save_network(made / "net.safetensors")
+    export(
+        "--network", network, "--sets", *(save_sets(made / f"{v}.safetensors", v) for v in Variant)
+    )
+    return made
+
+
+def predictors(folder: Path, variant: Variant) -> list[DosPredictor]:
+    """The same predictor under torch and under onnxruntime."""
+    network, sets = folder / "net.safetensors", folder / f"{variant}.safetensors"
+    return [
+        DosPredictor(sets=sets, network=network, engine=engine, threads=1)
+        for engine in ("torch", "onnx")
+    ]
+
+
+def ellipses(occupancy: Occupancy) -> FloatArray:
+    """(N, T, 2, 2) matrices that map the unit circle onto the ellipses.
+
+    An angle says nothing of an ellipse that is nearly a circle; R diag(a, b) R^T always does.
+    """
+    cosine, sine = np.cos(occupancy.angle), np.sin(occupancy.angle)
+    turn = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2)
+    return np.asarray((turn * occupancy.semi_axes[..., None, :]) @ np.swapaxes(turn, -1, -2))
+
+
+def assert_same(ours: Occupancy, reference: Occupancy) -> None:
+    """The two say the same within a millimetre."""
+    np.testing.assert_allclose(ours.centre, reference.centre, rtol=0, atol=CLOSE)
+    np.testing.assert_allclose(ours.heading, reference.heading, rtol=0, atol=CLOSE)
+    np.testing.assert_allclose(ellipses(ours), ellipses(reference), rtol=0, atol=CLOSE)
+
+
+@pytest.mark.parametrize("ref", REFS, ids=lambda ref: ref.id)
+def test_both_engines_predict_the_same_sets(ref: ScenarioRef, folder: Path) -> None:
+    scenario = load_scenario(ref)
+    reference, ours = predictors(folder, Variant.FREE)
+    for predictor in (reference, ours):
+        predictor.reset(scenario.task, scenario.road_map)
+    moved = 0.0
+    for step in range(scenario.task.start_step, scenario.task.final_step, 12):
+        seen = observe(scenario, step, scenario.task.start[None], 31)
+        expected = reference.predict(seen)
+        assert_same(ours.predict(seen), expected)
+        moved = max(moved, float(expected.semi_axes.max(initial=0.0)))
+    assert moved > 0.5  # There were sets to compare.
+
+
+@pytest.mark.parametrize("variant", list(Variant))
+def test_every_representation_is_exported(variant: Variant, folder: Path) -> None:
+    first = [[30.0, 0.0, 0.3, 8.0], [60.0, 3.5, 2.0, 0.1], [-20.0, 0.0, 0.0, 12.0]]
+    seen = seen_at(steady_tracks(first), 40)
+    reference, ours = (p.predict(seen) for p in predictors(folder, variant))
+    assert_same(ours, reference)
+
+
+def _seen(first: Sequence[Sequence[float]], kind: RoadUserKind = RoadUserKind.CAR) -> Observation:
+    return seen_at(steady_tracks(first, kinds=[kind] * len(first)), 0)
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        pytest.param(_seen([]), id="nobody"),
+        pytest.param(_seen([[30.0, 0.0, 0.0, 0.0]], RoadUserKind.PARKED), id="only-parked"),
+        pytest.param(_seen([[30.0, 0.0, 0.0, 5.0]]), id="one"),
+        pytest.param(
+            replace(
+                _seen([[30.0, 0.0, 0.0, 5.0], [50.0, 3.5, 0.0, 5.0]]),
+                road_map=RoadMap(lanelets=(), drivable=box(0.0, 0.0, 1.0, 1.0)),
+            ),
+            id="no-lanelets",
+        ),
+    ],
+)
+def test_both_engines_take_what_is_empty(seen: Observation, folder: Path) -> None:
+    reference, ours = (p.predict(seen) for p in predictors(folder, Variant.FREE))
+    assert_same(ours, reference)
+
+
+def test_the_network_alone_runs_under_both(folder: Path) -> None:
+    seen = _seen([[30.0, 0.0, 0.3, 8.0], [60.0, 3.5, 2.0, 0.1]])
+    reference, ours = (
+        NetPredictor(weights=folder / "net.safetensors", engine=engine).predict(seen)
+        for engine in ("torch", "onnx")
+    )
+    assert_same(ours, reference)
+    assert not np.any(ours.semi_axes)
+
+
+def test_every_predictor_has_its_own_number_of_threads(folder: Path) -> None:
+    before = torch.get_num_threads()
+    two, one = (NetPredictor(weights=folder / "net.safetensors", threads=n) for n in (2, 1))
+    seen = [_seen([[30.0, 0.0, 0.0, 5.0]]) for _ in range(3)]
+    try:
+        for predictor, observation, threads in zip((two, one, two), seen, (2, 1, 2), strict=True):
+            predictor.predict(observation)
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_onnxruntime_needs_no_torch(folder: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from dosplan_dos.predictor import DosPredictor; "
+        f"f = Path({str(folder)!r}); "
+        "DosPredictor(network=f / 'net.safetensors', sets=f / 'free.safetensors', engine='onnx'); "
+        "sys.exit('torch' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """Weights of a network with its exported files, to be spoiled."""
+    weights = save_network(tmp_path / "net.safetensors")
+    export("--network", weights)
+    return weights
+
+
+def refusal(weights: Path) -> str:
+    """The line that tells why onnxruntime does not run some weights."""
+    with pytest.raises(EngineError) as caught:
+        NetPredictor(weights=weights, engine="onnx")
+    line = str(caught.value)
+    assert "\n" not in line
+    return line
+
+
+def _remove(weights: Path) -> None:
+    weights.with_suffix(".onnx").unlink()
+
+
+def _train_on(weights: Path) -> None:
+    save_network(weights, seed=1)
+
+
+def _export_with_an_older_version(weights: Path) -> None:
+    file = weights.with_suffix(".onnx")
+    content = onnx.load(file)
+    onnx.helper.set_model_props(content, origin(weights) | {"dosplan": "0.0.1"})
+    onnx.save_model(content, file)
+
+
+def _cut_off(weights: Path) -> None:
+    file = weights.with_suffix(".onnx")
+    file.write_bytes(file.read_bytes()[:5000])
+
+
+def _point_elsewhere(weights: Path) -> None:
+    file = weights.with_suffix(".onnx")
+    content = onnx.load(file)
+    onnx.save_model(
+        content, file, save_as_external_data=True, location="other.bin", size_threshold=0
+    )
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (_remove, r"net\.onnx: cannot be read \(No such file"),
+        (_train_on, r"net\.map\.onnx: was not made from these weights"),
+        (_export_with_an_older_version, r"net\.onnx: was not made .* by this version"),
+        (_cut_off, r"net\.onnx: not an ONNX model"),
+        (_point_elsewhere, r"net\.onnx: not self-contained"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_refused_until_it_is_exported_again(
+    spoil: Callable[[Path], None], why: str, own: Path
+) -> None:
+    spoil(own)
+    line = refusal(own)
+    assert re.search(why, line)
+    _, _, command = line.partition("make it with: dosplan export ")
+    export(*shlex.split(command))
+    NetPredictor(weights=own, engine="onnx")
+
+
+def test_missing_packages_are_named(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    assert 'pip install "dosplan[onnx]"' in refusal(own)
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    with pytest.raises(CommandError, match=r'needs onnx: pip install "dosplan\[onnx\]"'):
+        export("--network", own)
+
+
+def test_an_unknown_engine_is_refused(own: Path) -> None:
+    with pytest.raises(EngineError, match="no engine 'tensor'; choose from torch, onnx"):
+        NetPredictor(weights=own, engine="tensor")
+
+
+def test_export_writes_where_it_is_told(own: Path, tmp_path: Path) -> None:
+    out = tmp_path / "elsewhere"
+    export("--out", out, "--network", own)
+    assert sorted(file.name for file in out.iterdir()) == ["net.map.onnx", "net.onnx"]
+    assert (out / "net.onnx").read_bytes() == own.with_suffix(".onnx").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["--network", "missing.safetensors"], r"missing\.safetensors: not readable as weights"),
+        (["--sets", "no-such"], "there are no sets called 'no-such'"),
+    ],
+)
+def test_export_refuses_what_is_not_there(arguments: list[str], why: str) -> None:
+    with pytest.raises(CommandError, match=why):
+        export(*arguments)

@@ -1,0 +1,202 @@
+"""Cross-fitting: who learns from what, and that it is the same every time."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from dosplan_net.batches import read_scenes
+from dosplan_net.cache import WindowCache
+from dosplan_net.features import HORIZON
+from dosplan_net.network import TrajectoryNetwork, constant_velocity
+from dosplan_net.optimise import FitSettings
+from dosplan_net.training import (
+    NET,
+    NetTraining,
+    assign_folds,
+    displacement,
+    foretold,
+    load_network,
+    stages,
+    train_stage,
+)
+from dosplan_net.weights import WeightsError
+
+from tests.support.models import TINY, save_network
+
+TRAINING = NetTraining(
+    network=TINY,
+    fit=FitSettings(steps=20, validate_every=10),
+    folds=2,
+    batch=40,
+)
+
+
+def trained(
+    stage: str, cache: Path, validation: Path, out: Path, config: NetTraining = TRAINING
+) -> dict[str, torch.Tensor]:
+    train_stage(stage, config, [cache], validation, out, lambda line: None)
+    return load_network(out / f"{stage}.safetensors").state_dict()
+
+
+def same(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> bool:
+    return all(torch.equal(one[name], other[name]) for name in one)
+
+
+def with_futures_mirrored(cache: Path, folder: Path, recordings: list[int]) -> Path:
+    """A copy of a cache in which some recordings' road users turn to the other side."""
+    shutil.copytree(cache, folder, ignore=shutil.ignore_patterns("shards"))
+    opened = WindowCache.open(cache)
+    owner = np.repeat(opened.scene_recording, np.diff(opened.scene_start))
+    future = np.array(opened.future)
+    future[np.isin(owner, recordings), :, 1:] *= -1.0
+    np.save(folder / "future.npy", future)
+    return folder
+
+
+def test_all_stages_run_and_the_seed_makes_them_the_same(
+    window_cache: Path, tmp_path: Path
+) -> None:
+    assert stages(TRAINING) == ["net", "fold-0", "fold-1"]
+    results = {}
+    for run in ("one", "again"):
+        results[run] = [
+            trained(stage, window_cache, window_cache, tmp_path / run) for stage in stages(TRAINING)
+        ]
+    for part, again in zip(*results.values(), strict=True):
+        assert same(part, again)
+    other = replace(TRAINING, fit=replace(TRAINING.fit, seed=2))
+    net = trained(NET, window_cache, window_cache, tmp_path / "other", other)
+    assert not same(net, results["one"][0])
+    # No two parts of a training are the same network.
+    for number, part in enumerate(results["one"]):
+        assert not any(same(part, other) for other in results["one"][number + 1 :])
+
+
+def test_a_part_that_is_done_is_not_trained_again(window_cache: Path, tmp_path: Path) -> None:
+    config = replace(TRAINING, fit=replace(TRAINING.fit, steps=4, validate_every=4))
+    lines: list[str] = []
+    first = train_stage(NET, config, [window_cache], window_cache, tmp_path, lines.append)
+    assert first.keys() == {"ade", "fde"}
+    assert len(lines) == 1
+    assert lines[0].startswith("net: step 4 ")
+    again = train_stage(NET, config, [window_cache], window_cache, tmp_path, lines.append)
+    assert again == first
+    assert len(lines) == 1
+
+
+def test_cross_fitting_does_not_see_its_own_fold(window_cache: Path, tmp_path: Path) -> None:
+    cache = WindowCache.open(window_cache)
+    (fold,) = assign_folds([cache], 2)
+    for own in (0, 1):
+        recordings = np.flatnonzero(fold == own).tolist()
+        changed = with_futures_mirrored(window_cache, tmp_path / f"changed-{own}", recordings)
+        for other in (0, 1):
+            stage, out = f"fold-{other}", tmp_path / "out"
+            reference = trained(stage, window_cache, window_cache, out)
+            weights = trained(stage, changed, window_cache, tmp_path / f"out-{own}")
+            assert same(weights, reference) == (other == own), (other, own)
+
+
+def test_each_recording_is_foretold_by_whom_has_not_seen_it(
+    window_cache: Path, tmp_path: Path
+) -> None:
+    cache = WindowCache.open(window_cache)
+    (fold,) = assign_folds([cache], 2)
+    assert set(fold) == {0, 1}
+    fitted = [
+        load_network(save_network(tmp_path / f"fold-{k}.safetensors", seed=k)) for k in (0, 1)
+    ]
+    (labels,) = foretold([window_cache], tmp_path)
+    assert labels.shape == (len(cache.pose), HORIZON, 2)
+    for scene in range(0, cache.scenes, 4):
+        batch = read_scenes(cache, [scene])
+        own = fold[cache.scene_recording[scene]]
+        found = labels[batch.windows.numpy()]
+        with torch.no_grad():
+            everyone = torch.arange(len(batch.pose))
+            expected, other = (
+                net(batch.scene(net.map_encoder, everyone))[0].numpy()
+                for net in (fitted[own], fitted[1 - own])
+            )
+        np.testing.assert_allclose(found, expected, atol=1e-3)
+        assert np.abs(found - other).max() > 0.1
+
+
+def test_what_is_foretold_is_not_computed_again(window_cache: Path, tmp_path: Path) -> None:
+    for k in (0, 1):
+        save_network(tmp_path / f"fold-{k}.safetensors", seed=k)
+    (labels,) = foretold([window_cache], tmp_path)
+    for k in (0, 1):
+        save_network(tmp_path / f"fold-{k}.safetensors", seed=k + 2)
+    np.testing.assert_array_equal(foretold([window_cache], tmp_path)[0], labels)
+
+
+def test_two_caches_of_one_name_keep_answers_of_their_own(
+    window_cache: Path, tmp_path: Path
+) -> None:
+    caches = [tmp_path / place / "cache" for place in ("here", "there")]
+    for folder in caches:
+        shutil.copytree(window_cache, folder, ignore=shutil.ignore_patterns("shards"))
+    for k in (0, 1):
+        save_network(tmp_path / f"fold-{k}.safetensors", seed=k)
+    foretold(caches, tmp_path)
+    assert len(list(tmp_path.glob("foretold-*.npy"))) == 2
+
+
+def test_without_cross_fitting_it_says_what_is_missing(window_cache: Path, tmp_path: Path) -> None:
+    with pytest.raises(WeightsError, match=r"fold-0\.safetensors"):
+        foretold([window_cache], tmp_path)
+
+
+def grouped(cache: WindowCache, windows: dict[str, int]) -> WindowCache:
+    """A cache of one scene per recording, whose names and sizes are given."""
+    counts = np.array(list(windows.values()))
+    return replace(
+        cache,
+        scene_start=np.concatenate(([0], np.cumsum(counts))),
+        scene_recording=np.arange(len(counts)),
+        recordings=tuple(windows),
+        groups=tuple(name.partition("_")[0] for name in windows),
+        simulated=(False,) * len(counts),
+    )
+
+
+def test_groups_stay_together_and_folds_are_balanced(window_cache: Path) -> None:
+    cache = WindowCache.open(window_cache)
+    random = np.random.default_rng(0)
+    parts = [
+        grouped(cache, {f"{random.integers(40)}_{i}": int(random.integers(1, 100)) for i in span})
+        for span in (range(100), range(100, 250))
+    ]
+    folds = assign_folds(parts, 4)
+    fold_of: dict[str, int] = {}
+    load = np.zeros(4)
+    for part, fold in zip(parts, folds, strict=True):
+        assert fold.shape == (len(part.recordings),)
+        for group, k, size in zip(part.groups, fold, np.diff(part.scene_start), strict=True):
+            assert fold_of.setdefault(group, int(k)) == k  # Across caches as well.
+            load[k] += size
+    # The largest first, always to the emptiest: no fold is ahead by more than the last one put in.
+    assert load.max() - load.min() < 0.05 * load.sum()
+    again = assign_folds(parts, 4)
+    assert all(np.array_equal(a, b) for a, b in zip(again, folds, strict=True))
+
+
+def test_displacement_is_the_mean_error_of_those_that_move(window_cache: Path) -> None:
+    cache = WindowCache.open(window_cache)
+    torch.manual_seed(0)
+    network = TrajectoryNetwork(TINY)
+    with torch.no_grad():  # Constant velocity, exactly.
+        network.get_parameter("decoder.2.weight").zero_()
+    figures = displacement(network, cache)
+    batch = read_scenes(cache, range(cache.scenes))
+    path = constant_velocity(batch.pose[:, 3]).numpy()
+    error = np.linalg.norm(path - cache.future[..., :2], axis=-1)
+    counted = cache.future_valid & batch.instructive.numpy()[:, None]
+    assert figures["ade"] == pytest.approx(error[counted].mean(), rel=1e-5)
+    assert figures["fde"] == pytest.approx(error[:, -1][counted[:, -1]].mean(), rel=1e-5)

@@ -1,0 +1,454 @@
+"""The paper's figures: what they show is what the results hold, and what is missing is told."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure
+
+from dosplan.cli.main import BAD_INPUT, FAILED, OK, main
+from dosplan.evaluation.groups import SPEED_BINS
+from dosplan.report.figures import (
+    FIGURES,
+    calibration,
+    coverage_by_speed,
+    cycle_time,
+    planning,
+    representations,
+    style,
+    trade_off,
+    upper_limits,
+)
+from dosplan.report.figures.sources import Z95, Published, default_results
+from dosplan.report.figures.style import save
+from dosplan.results.folder import read_rows, write_rows
+from dosplan.results.intervals import mean_interval, share_interval
+from dosplan.scenario import find_scenarios, load_scenario
+from dosplan.scoring.score import failed_score
+from dosplan.system.files import FileError, read_json, write_json
+from dosplan.types import Arm, FloatArray
+
+SHIPPED = Path(__file__).parents[2] / "results"
+LEVELS = (0.5, 0.9)
+TIMES = {"predict": 5.0, "solver": 8.0, "plan_rest": 2.0, "cycle": 15.0, "cycle_p95": 30.0}
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The published results; calibration and timings, which take a measurement, are made up."""
+    folder = tmp_path_factory.mktemp("results")
+    for part in ("prediction", "suite", "recorded"):
+        shutil.copytree(SHIPPED / part, folder / part)
+    labels = {f"at {level:g}": {"coverage": level} for level in LEVELS}
+    labels["at all steps"] = {"coverage": 0.9, "simultaneous": True}
+    sets = [
+        {"method": label, "group": "all", "horizon_s": t, "cr": options["coverage"] - 0.01 * t}
+        | {"cr_se": 0.005 * t, "osa": t}
+        for label, options in labels.items()
+        for t in (1.0, 2.0, 3.0, 4.0)
+    ]
+    methods = [{"label": label, "options": options} for label, options in labels.items()]
+    evaluation = {"sets": sets, "upper_limits": [], "data": {"methods": methods}}
+    write_json(folder / "calibration" / "bench.json", evaluation)
+    growth = {
+        what: {str(n): {part: n * ms for part, ms in TIMES.items()} for n in (1, 2, 4)}
+        for what in cycle_time.PANELS
+    }
+    write_json(folder / "cycle" / "bench.json", growth)
+    return folder
+
+
+@pytest.fixture
+def published(results: Path) -> Iterator[Published]:
+    with style.styled():
+        yield Published(results)
+
+
+@pytest.fixture
+def rows(results: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = read_json(results / "prediction" / "bench.json")["sets"]
+    return found
+
+
+def _of(rows: list[dict[str, Any]], method: str, group: str = "all") -> list[dict[str, Any]]:
+    return [row for row in rows if (row["method"], row["group"]) == (method, group)]
+
+
+def _bars(axes: Axes) -> list[tuple[str, FloatArray, FloatArray]]:
+    """Label, (P, 2) points and (P, 2, 2) ends of the bars of everything drawn with intervals."""
+    found = []
+    for drawn in axes.containers:
+        assert isinstance(drawn, ErrorbarContainer)
+        points, _, (bars,) = drawn.lines
+        data = np.asarray(points.get_xydata())
+        found.append((str(drawn.get_label()), data, np.array(bars.get_segments())))
+    return found
+
+
+def _matches(points: FloatArray, bars: FloatArray, column: list[dict[str, Any]]) -> bool:
+    """Whether coverage in percent and its 95 % interval are drawn as the rows have them."""
+    cr, error = (100.0 * np.array([row[key] for row in column]) for key in ("cr", "cr_se"))
+    ends = np.column_stack([cr - Z95 * error, cr + Z95 * error])
+    return np.allclose(points[:, 1], cr) and np.allclose(bars[..., 1], ends)
+
+
+def test_upper_limits_are_the_areas_of_the_evaluation(published: Published) -> None:
+    content = read_json(published.path / "prediction" / "bench.json")
+    (axes,) = upper_limits.draw(published).axes
+    lines = {str(line.get_label()): np.asarray(line.get_xydata()) for line in axes.lines}
+    assert len(lines) == len(upper_limits.SHAPES) + 1
+    for shape, (title, *_) in upper_limits.SHAPES.items():
+        areas = [
+            (row["horizon_s"], row["area"])
+            for row in content["upper_limits"]
+            if (row["model"], row["group"], row["representation"])
+            == (upper_limits.MODEL, "all", shape)
+        ]
+        np.testing.assert_array_equal(lines[title], areas)
+    beside = [(row["horizon_s"], row["osa"]) for row in _of(content["sets"], "PR z=1.0")]
+    np.testing.assert_array_equal(lines["PR, z = 1 (as predicted)"], beside)
+
+
+def test_every_method_with_sets_is_in_the_trade_off_where_it_was_measured(
+    published: Published, rows: list[dict[str, Any]]
+) -> None:
+    figure = trade_off.draw(published)
+    with_sets = {row["method"] for row in rows if row["osa"]}
+    shown: list[set[str]] = []
+    for h, axes in enumerate(figure.axes):
+        at = {method: _of(rows, method)[h] for method in with_sets}
+        by_point: dict[tuple[float, float], set[str]] = {}  # Two circles are one at 1 s.
+        for method, row in at.items():
+            by_point.setdefault((row["osa"], 100.0 * row["cr"]), set()).add(method)
+        found: set[str] = set()
+        for _, points, bars in _bars(axes):
+            methods = [by_point[x, y] for x, y in points.tolist()]  # Nothing is made up.
+            assert _matches(points, bars, [at[min(same)] for same in methods])
+            found |= set().union(*methods)
+        shown.append(found)
+    assert shown == [with_sets] * 4
+
+
+def test_curves_go_by_rising_parameter(published: Published) -> None:
+    curves = {c.title: c.labels for c in trade_off.curves(published.evaluation("prediction"))}
+    assert curves == {
+        "PR, z = 0.5, 1, 1.5, 2": ("PR z=0.5", "PR z=1.0", "PR z=1.5", "PR z=2.0"),
+        "SA, z = 1, 1.5, 2": ("SA z=1.0", "SA z=1.5", "SA z=2.0"),
+        "circle, r = 1, 2 m": ("circle r=1", "circle r=2"),
+        "circle v1, z = 0.7, 1": ("circle v1 z=0.7", "circle v1 z=1.0"),
+        "circle v2, z = 1, 1.5": ("circle v2 z=1.0", "circle v2 z=1.5"),
+        r"DOS ellipse, $\alpha$ = 3, k = 0.01, 0.05, 0.1, 0.2, 0.5": (
+            "DOS ellipse k=0.01 alpha=3",
+            "DOS ellipse k=0.05 alpha=3",
+            "DOS ellipse",
+            "DOS ellipse k=0.2 alpha=3",
+            "DOS ellipse k=0.5 alpha=3",
+        ),
+        r"DOS ellipse, k = 0.1, $\alpha$ = 1, 2, 3": (
+            "DOS ellipse k=0.1 alpha=1",
+            "DOS ellipse k=0.1 alpha=2",
+            "DOS ellipse",
+        ),
+        r"DOS ellipse, k = 0.01, $\alpha$ = 3, 10": (
+            "DOS ellipse k=0.01 alpha=3",
+            "DOS ellipse k=0.01 alpha=10",
+        ),
+    }
+
+
+def test_coverage_by_speed_is_that_of_each_bin(
+    published: Published, rows: list[dict[str, Any]]
+) -> None:
+    for h, axes in enumerate(coverage_by_speed.draw(published).axes):
+        assert len(_bars(axes)) == len(coverage_by_speed.METHODS)
+        for (_, points, bars), method in zip(_bars(axes), coverage_by_speed.METHODS, strict=True):
+            assert _matches(points, bars, [_of(rows, method, name)[h] for name in SPEED_BINS])
+            assert np.round(points[:, 0]).tolist() == list(range(len(SPEED_BINS)))
+
+
+def test_calibration_is_drawn_over_the_level_that_was_asked_for(
+    published: Published, rows: list[dict[str, Any]]
+) -> None:
+    (axes,) = calibration.draw(published).axes
+    curves = _bars(axes)
+    assert len(curves) == 2 * 4  # Two methods at four horizons; not the simultaneous one.
+    for t, (_, points, bars) in enumerate(curves[:4], start=1):
+        np.testing.assert_allclose(points[:, 0], [50.0, 90.0])
+        np.testing.assert_allclose(points[:, 1], [50.0 - t, 90.0 - t])
+        np.testing.assert_allclose(np.ptp(bars[..., 1], axis=1), 2.0 * Z95 * 0.5 * t)
+    # What a Gaussian of two dimensions holds within 0.5, 1, 1.5 and 2 standard deviations.
+    claimed = [11.750, 39.347, 67.535, 86.466]
+    for h, (_, points, bars) in enumerate(curves[4:]):
+        np.testing.assert_allclose(points[:, 0], claimed, atol=1e-3)
+        column = [_of(rows, f"PR z={z}")[h] for z in (0.5, 1.0, 1.5, 2.0)]
+        assert _matches(points, bars, column)
+
+
+def test_planning_shows_the_shares_of_the_summaries(published: Published) -> None:
+    panels = np.reshape(np.array(planning.draw(published).axes, dtype=object), (2, 3))
+    keys = (
+        ("success_rate", "safe_rate"),
+        (
+            *("collision_rate", "at_fault_collision_rate"),
+            *("out_of_bounds_rate", "goal_missed_rate"),
+        ),
+    )
+    for run, (good, bad, speed) in zip(planning.RUNS, panels, strict=True):
+        summary = read_json(published.path / run / "summary.json")
+        for arm, *drawn in zip(Arm, _bars(good), _bars(bad), _bars(speed), strict=True):
+            for names, (_, points, bars) in zip(keys, drawn, strict=False):
+                for name, point, bar in zip(names, points, bars, strict=True):
+                    n, rate = summary[arm.value]["n"], summary[arm.value][name]
+                    expected = share_interval(round(rate * n), n)
+                    assert point[0] == pytest.approx(100.0 * rate)
+                    assert bar[:, 0] == pytest.approx(100.0 * np.array(expected[1:]), abs=1e-9)
+            _, ((velocity, _),), (bar,) = drawn[2]
+            assert velocity == pytest.approx(summary[arm.value]["velocity"])
+            assert bar[0, 0] < velocity < bar[1, 0]
+
+
+def test_cycle_time_shows_every_part_of_the_timings(published: Published) -> None:
+    figure = cycle_time.draw(published)
+    for axes, (_, _, left_out) in zip(figure.axes, cycle_time.PANELS.values(), strict=True):
+        lines = {str(line.get_label()): np.asarray(line.get_xydata()) for line in axes.lines}
+        for part, (title, *_) in cycle_time.PARTS.items():
+            if part in left_out:
+                assert title not in lines
+            else:
+                expected = [[n, n * TIMES[part]] for n in (1, 2, 4)]
+                np.testing.assert_array_equal(lines[title], expected)
+
+
+def test_representations_are_what_the_shipped_weights_predict(published: Published) -> None:
+    figure = representations.draw(published)
+    refs = find_scenarios("suite")
+    scenario = load_scenario(next(ref for ref in refs if ref.id == representations.SCENE))
+    panels = figure.axes[: len(representations.METHODS)]
+    for axes, (title, options) in zip(panels, representations.METHODS.items(), strict=True):
+        assert axes.get_title() == title
+        sets = representations.foresee(scenario, options)
+        shown = np.zeros_like(sets.valid)
+        shown[:, representations.SHOWN] = sets.valid[:, representations.SHOWN]
+        shown &= (sets.semi_axes > 0.0).all(axis=-1)
+        (drawn,) = (c for c in axes.collections if isinstance(c, EllipseCollection))
+        parts = (drawn.get_offsets(), drawn.get_widths(), drawn.get_heights())
+        found = np.column_stack([np.asarray(part) for part in parts])
+        wanted = np.column_stack([sets.centre[shown], 2.0 * sets.semi_axes[shown]])
+        assert len(found) > 20
+        np.testing.assert_allclose(_sorted(found), _sorted(wanted))
+
+
+def _sorted(table: FloatArray) -> FloatArray:
+    return table[np.lexsort(table.T)]
+
+
+def test_every_figure_is_written_as_png_and_pdf_twice_the_same(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = [tmp_path / "one", tmp_path / "two"]
+    assert main(["figures", "--out", str(out[0]), "--results", str(results)]) == OK
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert len(shown.out.splitlines()) == len(FIGURES)
+    names = {f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "pdf")}
+    assert {path.name for path in out[0].iterdir()} == names
+    assert all(
+        (out[0] / f"{name}.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" for name in FIGURES
+    )
+    assert all((out[0] / f"{name}.pdf").read_bytes()[:5] == b"%PDF-" for name in FIGURES)
+
+    chosen = ["planning", "upper-limits", "planning"]
+    assert main(["figures", *chosen, "--out", str(out[1]), "--results", str(results)]) == OK
+    again = {path.name: path.read_bytes() for path in out[1].iterdir()}
+    assert again == {
+        f"{name}.{suffix}": (out[0] / f"{name}.{suffix}").read_bytes()
+        for name in ("planning", "upper-limits")
+        for suffix in ("png", "pdf")
+    }
+
+
+def test_fonts_can_be_read_at_the_width_of_a_column(published: Published) -> None:
+    for draw, width in ((upper_limits.draw, style.COLUMN), (trade_off.draw, style.PAGE)):
+        figure = draw(published)
+        assert figure.get_size_inches()[0] == width
+        assert min(_font_sizes(figure)) >= 7.0
+
+
+def _font_sizes(figure: Figure) -> list[float]:
+    legends = [text for legend in figure.legends for text in legend.get_texts()]
+    marks = [
+        label
+        for axes in figure.axes
+        for label in (*axes.get_xticklabels(), *axes.get_yticklabels())
+    ]
+    names = [text for axes in figure.axes for text in (axes.title, axes.xaxis.label)]
+    return [float(text.get_fontsize()) for text in (*legends, *marks, *names)]
+
+
+def test_what_is_missing_costs_one_figure_and_is_one_line(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(results / "suite", tmp_path / "suite")
+    names = ["planning", "calibration", "cycle-time"]
+    options = ["--results", str(tmp_path), "--out", str(tmp_path / "out")]
+    assert main(["figures", *names, *options]) == FAILED
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
+        f"dosplan: error: planning: {tmp_path}/recorded is not a run folder: it has no run.json",
+        f"dosplan: error: calibration: {tmp_path}/calibration/bench.json is missing; "
+        f"`dosplan evaluate ... --json {tmp_path}/calibration/bench.json` makes it, "
+        "--results names another folder",
+        f"dosplan: error: cycle-time: {tmp_path}/cycle/bench.json is missing; "
+        f"`make bench BENCH_ARGS='--json {tmp_path}/cycle/bench.json'` makes it, "
+        "--results names another folder",
+    ]
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("text", ["[]", "{}", '{"sets": 1, "data": {"methods": []}}', "nothing"])
+def test_a_file_of_another_kind_is_a_file_error(tmp_path: Path, text: str) -> None:
+    for part in ("prediction", "cycle"):
+        (tmp_path / part).mkdir()
+        (tmp_path / part / "bench.json").write_text(text)
+    with pytest.raises(FileError, match=r"prediction/bench\.json is not"):
+        Published(tmp_path).evaluation("prediction")
+    with pytest.raises(FileError, match=r"cycle/bench\.json is not"):
+        Published(tmp_path).growth()
+
+
+@pytest.mark.parametrize("label", [7, None, ["PR"]])
+def test_a_label_that_is_no_text_is_a_file_error(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], label: object
+) -> None:
+    content = read_json(results / "prediction" / "bench.json")
+    content["data"]["methods"][0]["label"] = label
+    path = tmp_path / "prediction" / "bench.json"
+    write_json(path, content)
+    out = str(tmp_path / "out")
+    assert main(["figures", "trade-off", "--results", str(tmp_path), "--out", out]) == FAILED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{path} is not what `dosplan evaluate` of this version writes" in line
+    assert f"the label {label!r} is no text" in line
+
+
+def test_sets_of_different_horizons_are_a_file_error(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = read_json(results / "prediction" / "bench.json")
+    del content["sets"][-1]
+    path = tmp_path / "prediction" / "bench.json"
+    write_json(path, content)
+    out = str(tmp_path / "out")
+    assert main(["figures", "trade-off", "--results", str(tmp_path), "--out", out]) == FAILED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{path} is not what `dosplan evaluate` of this version writes" in line
+    assert "horizons" in line
+
+
+def test_a_label_that_names_no_number_is_of_no_curve(results: Path, tmp_path: Path) -> None:
+    content = read_json(results / "prediction" / "bench.json")
+    before = trade_off.curves(Published(results).evaluation("prediction"))
+    odd = ("PR z=1.2.3", "PR z=.", "DOS ellipse k=. alpha=3", "DOS ellipse k=0.1 alpha=1.")
+    content["data"]["methods"] += [{"label": label, "options": {}} for label in odd]
+    write_json(tmp_path / "prediction" / "bench.json", content)
+    assert trade_off.curves(Published(tmp_path).evaluation("prediction")) == before
+
+
+def test_a_method_that_was_not_evaluated_is_named(results: Path, tmp_path: Path) -> None:
+    content = read_json(results / "prediction" / "bench.json")
+    content["sets"] = [row for row in content["sets"] if row["method"] != "DOS circle"]
+    write_json(tmp_path / "prediction" / "bench.json", content)
+    with pytest.raises(FileError, match="has no sets 'DOS circle' in the group 'all'"):
+        trade_off.draw(Published(tmp_path))
+
+
+def test_an_arm_in_which_nobody_drove_is_told(results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results / "suite", tmp_path / "suite")
+    path = tmp_path / "suite" / "scenarios.jsonl"
+    rows = [
+        row if row.arm is Arm.WITH_DOS else failed_score(row.scenario, row.arm, "it broke")
+        for row in read_rows(path)
+    ]
+    write_rows(path, rows)
+    with pytest.raises(FileError, match=r"suite holds an arm in which nobody drove a step"):
+        planning.draw(Published(tmp_path))
+
+
+def test_a_planner_without_a_horizon_has_no_such_panel(results: Path, tmp_path: Path) -> None:
+    growth = read_json(results / "cycle" / "bench.json") | {"horizon_s": {}}
+    write_json(tmp_path / "cycle" / "bench.json", growth)
+    with pytest.raises(FileError, match="no times over horizon_s"):
+        cycle_time.draw(Published(tmp_path))
+
+
+def test_an_unknown_figure_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["figures", "trade-of", "--out", "x"])
+    assert stop.value.code == BAD_INPUT
+    assert "there is no figure 'trade-of'; choose from upper-limits" in capsys.readouterr().err
+
+
+def test_the_shipped_results_are_found() -> None:
+    assert default_results() == SHIPPED
+
+
+def test_what_draws_nothing_does_not_pay_for_matplotlib() -> None:
+    code = "import sys, dosplan.cli.main; dosplan.cli.main.main(['list', 'planners'])\n"
+    code += "import dosplan.running.run, dosplan.report.progress, dosplan.report.tables\n"
+    code += "import dosplan.explain, dosplan.results.comparison, dosplan.evaluation.evaluate\n"
+    code += "assert 'matplotlib' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+
+def test_intervals_have_known_answers() -> None:
+    """Wilson: (p + z2/2n -+ z sqrt(pq/n + z2/4n2)) / (1 + z2/n); 0 of n is bounded by z2/(n+z2)."""
+    assert share_interval(0, 150) == pytest.approx((0.0, 0.0, 3.8415 / 153.8415), abs=1e-5)
+    assert share_interval(5, 10) == pytest.approx((0.5, 0.23659, 0.76341), abs=1e-5)
+    constant = mean_interval(np.full(7, 3.0))
+    assert constant == (3.0, 3.0, 3.0)
+    # The standard error of the mean of 400 coin tosses is 0.025.
+    value, low, high = mean_interval(np.tile([0.0, 1.0], 200))
+    assert value == 0.5
+    assert (low, high) == pytest.approx((0.5 - 0.049, 0.5 + 0.049), abs=0.003)
+
+
+def test_the_interval_of_many_scenarios_needs_little_memory() -> None:
+    """Ten thousand samples of 2,000 values, all at once, are 320 MB."""
+    values = np.arange(2000.0)
+    tracemalloc.start()
+    _, low, high = mean_interval(values)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 40e6
+    # 1.96 standard errors of the mean of 2,000 numbers drawn from 0 ... 1999.
+    half = 1.96 * np.std(values) / np.sqrt(2000.0)
+    assert (low, high) == pytest.approx((999.5 - half, 999.5 + half), abs=0.03 * half)
+
+
+def test_the_manifest_of_figures_names_a_module_for_each() -> None:
+    folder = Path(style.__file__).parent
+    others = {"__init__", "sources", "style", "write"}
+    modules = {path.stem for path in folder.glob("*.py")} - others
+    assert modules == {name.replace("-", "_") for name in FIGURES}
+
+
+def test_the_last_digits_of_a_layout_do_not_reach_the_file(tmp_path: Path) -> None:
+    """The solver behind the layout rounds differently from one drawing to the next."""
+    written = []
+    for name, shift in (("one", 0.0), ("two", 3e-11)):
+        figure = Figure(figsize=(2.0, 1.0))
+        figure.add_axes((0.1 + shift, 0.2, 0.4123456789, 0.5)).plot([0.0, 1.0])
+        figure.add_axes((0.6, 0.2 + shift, 0.3, 0.5)).plot([0.0, 1.0])
+        written.append([path.read_bytes() for path in save(figure, tmp_path, name)])
+    assert written[0] == written[1]

@@ -1,0 +1,428 @@
+"""The page of a run: what it holds, what it keeps out, and what it does without."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import re
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dosplan.cli import main as cli
+from dosplan.cli.main import main
+from dosplan.report.film.scene import ARM_COLOURS
+from dosplan.report.html import page
+from dosplan.report.html.cases import Case, change_of
+from dosplan.report.html.codec import METRE, differences, pack, polyline
+from dosplan.report.html.coverage import foretold, sets_met, total
+from dosplan.report.html.episode import Drive, encode_episode
+from dosplan.report.html.predictions import prediction_blocks
+from dosplan.report.html.scenarios import families
+from dosplan.report.html.write import write_report
+from dosplan.report.tables import ARMS_SIDE_BY_SIDE
+from dosplan.results.folder import row_line
+from dosplan.results.recording import Recording
+from dosplan.scenario.synthetic import steady_tracks
+from dosplan.scoring.score import failed_score
+from dosplan.system.files import FileError, write_json
+from dosplan.types import Arm, EpisodeEnd, FloatArray, Outcome, Score
+from tests.support import faulty
+from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+
+FAULTY = Path(faulty.__file__)
+COAST = ["--planner", f"{FAULTY}:CoastPlanner", "--predictor", "constant-velocity"]
+HOSTILE = "ZAM_</script><img src=x onerror=alert(1)>-1_1_T-1"
+
+
+def _recording(arm: Arm, centres: FloatArray, semi_axes: FloatArray, angle: float) -> Recording:
+    """One cycle at step 40 that foretells one road user 5 and 10 steps ahead."""
+    states = np.zeros((3, 5))
+    return Recording(
+        scenario_id="s",
+        arm=arm,
+        start_step=40,
+        states=states,
+        inputs=np.zeros((2, 2)),
+        end=EpisodeEnd.TIME_OVER,
+        error=None,
+        cycle_steps=np.array([40]),
+        predict_ms=np.ones(1),
+        plan_ms=np.ones(1),
+        status=("solved",),
+        iterations=np.ones(1, dtype=np.int64),
+        slack=np.zeros(1),
+        road_slack=np.zeros(1),
+        active_ids=((),),
+        fallback=("",),
+        plan_centres=np.zeros((1, 11, 2)),
+        set_cycle=np.array([0]),
+        set_ids=np.array([100]),
+        set_offsets=np.array([5, 10]),
+        set_centres=centres[None],
+        set_semi_axes=semi_axes[None],
+        set_angles=np.full((1, 2), angle),
+    )
+
+
+def _row(scenario: str, arm: Arm, outcome: Outcome, **changes: Any) -> Score:
+    safe = outcome in (Outcome.SUCCESS, Outcome.GOAL_MISSED)
+    row = replace(failed_score(scenario, arm, ""), outcome=outcome, safe=safe, steps=2, error=None)
+    return replace(row, **changes)
+
+
+def _write_run(folder: Path, rows: list[Score], source: str = "nowhere") -> Path:
+    """A run folder without recordings."""
+    folder.mkdir()
+    manifest = {
+        "config": {"source": source, "arms": list(dict.fromkeys(row.arm for row in rows))},
+        "planner": "mpc-v1",
+        "predictor": "dos-v1",
+        "scenarios": list(dict.fromkeys(row.scenario for row in rows)),
+        "versions": {},
+    }
+    write_json(folder / "run.json", manifest)
+    (folder / "scenarios.jsonl").write_text("".join(map(row_line, rows)), encoding="utf-8")
+    return folder
+
+
+def _data(html: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', html, re.DOTALL)
+    assert found is not None
+    data: dict[str, Any] = json.loads(found[1])
+    return data
+
+
+def _unpacked(text: str) -> dict[str, Any]:
+    payload: dict[str, Any] = json.loads(gzip.decompress(base64.b64decode(text)))
+    return payload
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A free road, and one on which a car stands 18 m ahead."""
+    folder = tmp_path_factory.mktemp("scenes")
+    goal = Goal(first_step=0, last_step=20, position=rectangle(6.0, 3.0, 28.0, 0.0))
+    for name, users in (
+        ("ZAM_Free-1_1_T-1", [User(7, driving(60.0, 0.0, 10.0, 40))]),
+        ("ZAM_Hit-1_1_T-1", [User(8, driving(28.0, 0.0, 0.0, 40))]),
+    ):
+        write_scenario_xml(
+            folder / f"{name}.xml",
+            users=users,
+            problems=[Problem(goals=(goal,))],
+            benchmark_id=name,
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def driven(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of both, with its report."""
+    out = tmp_path_factory.mktemp("driven") / "run"
+    assert main(["run", str(scenes), *COAST, "--workers", "1", "--out", str(out)]) == cli.OK
+    return out
+
+
+@given(st.lists(st.integers(-(10**6), 10**6)), st.integers(0, 3))
+def test_cumulative_sums_undo_differences(values: list[int], order: int) -> None:
+    series = np.array(differences(np.array(values) * METRE, METRE, order), dtype=np.int64)
+    for _ in range(order):
+        series = np.cumsum(series)
+    assert series.tolist() == values
+
+
+def test_a_line_is_its_first_point_and_steps() -> None:
+    # In units of 5 cm: (20, 0), then (+20, +2); the point in between is no step at all.
+    assert polyline([[1.0, 0.0], [1.01, 0.01], [2.0, 0.1]]) == [20, 0, 20, 2]
+
+
+def test_packing_is_deterministic_and_undone() -> None:
+    payload = {"a": [1, 2], "b": "ü"}
+    assert pack(payload) == pack(payload)
+    assert _unpacked(pack(payload)) == payload
+
+
+def test_who_is_in_a_set_is_told_exactly() -> None:
+    # The road user drives along x at 8 m/s from x = 30, so it is at 66 m at step 45 and at 70 m at
+    # step 50. Ellipses of 2 m by 0.5 m, turned by 90 degrees: long across the road.
+    tracks = steady_tracks([[30.0, 0.0, 0.0, 8.0]])
+    axes = np.tile([2.0, 0.5], (2, 1))
+    for along, across, held in ((0.49, 0.0, True), (0.51, 0.0, False), (0.0, 1.99, True)):
+        centres = np.array([[66.0 + along, across], [70.0, 2.01]])
+        recording = _recording(Arm.WITH_DOS, centres, axes, np.pi / 2.0)
+        met = sets_met(recording, tracks, driven=2)
+        assert met.inside.tolist() == [[held, False]]
+        assert [(one.offset, one.inside, one.counted) for one in total([met])] == [
+            (5, int(held), 1),
+            (10, 0, 1),
+        ]
+        (told,) = foretold(met, user=100, step=45)
+        assert told.held is held
+        assert told.miss == pytest.approx(np.hypot(along, across))
+
+
+def test_points_are_no_sets_but_have_a_miss() -> None:
+    tracks = steady_tracks([[30.0, 0.0, 0.0, 8.0]])
+    centres = np.array([[67.0, 0.0], [70.0, 0.0]])
+    met = sets_met(_recording(Arm.WITHOUT_DOS, centres, np.zeros((2, 2)), 0.0), tracks, 2)
+    assert total([met]) == []
+    (told,) = foretold(met, user=100, step=45)
+    assert told.held is None
+    assert told.miss == pytest.approx(1.0)
+
+
+def test_what_was_predicted_after_the_drive_does_not_count() -> None:
+    tracks = steady_tracks([[30.0, 0.0, 0.0, 8.0]])
+    recording = _recording(Arm.WITH_DOS, np.zeros((2, 2)), np.ones((2, 2)), 0.0)
+    assert total([sets_met(recording, tracks, driven=0)]) == []
+
+
+def test_arms_that_see_the_same_share_their_predictions() -> None:
+    centres = np.array([[66.0, 0.0], [70.0, 0.0]])
+    sets = _recording(Arm.WITH_DOS, centres, np.ones((2, 2)), 0.0)
+    points = _recording(Arm.WITHOUT_DOS, centres, np.zeros((2, 2)), 0.0)
+    other = _recording(Arm.WITHOUT_DOS, centres + 1.0, np.zeros((2, 2)), 0.0)
+    origin = np.zeros(2)
+    blocks, used = prediction_blocks([points, sets], [2, 2], None, origin)
+    assert len(blocks) == 1
+    assert used == [{"block": 0, "points": True}, {"block": 0, "points": False}]
+    blocks, used = prediction_blocks([other, sets], [2, 2], None, origin)
+    assert len(blocks) == 2
+    assert [one and one["block"] for one in used] == [1, 0]
+
+
+def test_families_are_places_or_their_countries() -> None:
+    ids = [*(f"DEU_Muc-{i}_1_T-1" for i in range(4)), "DEU_Ffb-1_1_T-1", "C-USA_US101-1_1_T-1"]
+    found = families(ids)
+    assert [found[i] for i in ids] == [*["DEU_Muc"] * 4, "DEU", "USA"]
+
+
+def test_changes_have_their_words() -> None:
+    good, bad = (_row("s", Arm.WITH_DOS, o) for o in (Outcome.SUCCESS, Outcome.COLLISION))
+    assert [change_of(pair) for pair in ([bad, good], [good, bad], [bad, bad], [good, good])] == [
+        "fixed",
+        "broken",
+        "both failed",
+        "both succeeded",
+    ]
+    assert change_of([bad]) == "failed"
+
+
+def test_an_episode_without_its_scenario_is_the_drive_alone() -> None:
+    recording = _recording(Arm.WITH_DOS, np.zeros((2, 2)), np.ones((2, 2)), 0.0)
+    row = _row("s", Arm.WITH_DOS, Outcome.GOAL_MISSED)
+    payload = encode_episode(None, [None, Drive(recording, row)])
+    assert "road" not in payload
+    assert payload["sides"][0] is None
+    assert len(payload["sides"][1]["x"]) == row.steps + 1
+    assert pack(payload)
+
+
+def test_a_run_writes_its_report(driven: Path) -> None:
+    html = (driven / "report.html").read_text(encoding="utf-8")
+    (section,) = _data(html)["sections"]
+    assert section["names"] == ["without DOS", "with DOS"]
+    hit, free = section["cases"]  # What failed comes first.
+    assert [hit["id"], free["id"]] == ["ZAM_Hit-1_1_T-1", "ZAM_Free-1_1_T-1"]
+    assert hit["change"] == "both failed"
+    # From 10 m at 10 m/s, half a car's length before 28 m less the ego's own: some 1.3 s.
+    assert re.match(r"ran into car 8, which stood after 1\.\d s; at fault", hit["sides"][0]["why"])
+    payload = _unpacked(hit["episode"])
+    assert [user["id"] for user in payload["users"]] == [8]
+    assert payload["road"]
+    assert payload["goals"]
+    assert all(side["touched"] == 8 for side in payload["sides"])
+
+
+def test_a_page_is_self_contained_and_allows_its_own_script_only(driven: Path) -> None:
+    html = (driven / "report.html").read_text(encoding="utf-8")
+    outside = set(re.findall(r"https?://[^\s\"'<]+", html))
+    assert {address for address in outside if "www.w3.org" not in address} == set()
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]+)"', html)
+    script = re.search(r"<script>(.*?)</script>", html, re.DOTALL)
+    assert policy is not None
+    assert script is not None
+    digest = base64.b64encode(sha256(script[1].encode()).digest()).decode()
+    assert "default-src 'none'" in policy[1].replace("&#39;", "'")
+    assert f"script-src 'sha256-{digest}'".replace("=", "") in policy[1].replace(
+        "&#39;", "'"
+    ).replace("=", "")
+
+
+def test_arms_have_the_colours_that_they_have_in_films(driven: Path) -> None:
+    html = (driven / "report.html").read_text(encoding="utf-8")
+    light = re.search(r"--side-0: (#\w+); --side-1: (#\w+);", html)
+    assert light is not None
+    assert light.groups() == tuple(ARM_COLOURS[arm] for arm in ARMS_SIDE_BY_SIDE)
+
+
+def test_what_files_say_stays_text(tmp_path: Path) -> None:
+    rows = [
+        replace(_row(HOSTILE, arm, Outcome.PLANNER_FAILURE), error=HOSTILE, steps=0) for arm in Arm
+    ]
+    run = _write_run(tmp_path / "run", rows, source=HOSTILE)
+    html = write_report(run).read_text(encoding="utf-8")
+    assert "<img" not in html
+    assert html.count("<script") == 2
+    assert html.count("</script>") == 2
+    ((case,),) = (section["cases"] for section in _data(html)["sections"])
+    assert case["id"] == HOSTILE
+    assert case["sides"][0]["why"] == HOSTILE
+
+
+def test_a_run_whose_scenarios_are_gone_is_told_in_a_line(
+    driven: Path, scenes: Path, tmp_path: Path
+) -> None:
+    html = write_report(driven, tmp_path / "a.html", "gone").read_text(encoding="utf-8")
+    assert "scenario files were not found" in html
+    (section,) = _data(html)["sections"]
+    assert all("road" not in _unpacked(case["episode"]) for case in section["cases"])
+    again = write_report(driven, tmp_path / "b.html", str(scenes)).read_text(encoding="utf-8")
+    assert again == (driven / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_page_keeps_within_its_room(
+    driven: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = len((driven / "report.html").read_bytes())
+    # One byte less than the whole: the episode of the less urgent scenario has to stay out.
+    for room, episodes in ((whole, 2), (whole - 1, 1), (1000, 0)):
+        monkeypatch.setattr(page, "MOST_BYTES", room)
+        html = write_report(driven, tmp_path / "page.html").read_text(encoding="utf-8")
+        (section,) = _data(html)["sections"]
+        assert [("episode" in case) for case in section["cases"]].count(True) == episodes
+        assert "episode" in section["cases"][0] or not episodes
+        assert len(html.encode()) <= room or not episodes
+
+
+def test_one_arm_alone_has_a_page(tmp_path: Path) -> None:
+    rows = [_row(f"ZAM_A-{i}_1_T-1", Arm.WITH_DOS, Outcome.SUCCESS, velocity=9.0) for i in (1, 2)]
+    html = write_report(_write_run(tmp_path / "run", rows)).read_text(encoding="utf-8")
+    assert "McNemar" not in html
+    assert "Success with DOS in 2 of 2 scenarios." in html
+
+
+@pytest.mark.parametrize(
+    ("only_with", "only_without", "found"),
+    # McNemar's exact test: of 6 against 0, p = 2 / 2^6 = 0.031; of 5 against 0, 0.063.
+    [(6, 0, "Better with DOS"), (0, 6, "Worse with DOS"), (5, 0, "No clear difference")],
+)
+def test_the_answer_comes_first(
+    only_with: int, only_without: int, found: str, tmp_path: Path
+) -> None:
+    good, bad = Outcome.SUCCESS, Outcome.COLLISION
+    pairs = [(good, bad)] * only_with + [(bad, good)] * only_without + [(good, good)] * 10
+    rows = [
+        _row(f"ZAM_A-{i}_1_T-1", arm, outcome)
+        for i, pair in enumerate(pairs)
+        for arm, outcome in zip((Arm.WITH_DOS, Arm.WITHOUT_DOS), pair, strict=True)
+    ]
+    html = write_report(_write_run(tmp_path / "run", rows)).read_text(encoding="utf-8")
+    n, both = len(pairs), 10
+    answer = (
+        f"{found}: success in {both + only_with} of {n} scenarios with DOS, in "
+        f"{both + only_without} without DOS."
+    )
+    assert f'<p class="answer">{answer}</p>' in html
+    failed = f"collision {only_with} (0 at fault)" if only_with else "none"
+    assert f"Failed without DOS: {failed}." in html
+
+
+def test_groups_that_fail_come_first(tmp_path: Path) -> None:
+    places = {"ZAM_Good": Outcome.SUCCESS, "ZAM_Bad": Outcome.COLLISION}
+    rows = [
+        _row(f"{place}-{i}_1_T-1", Arm.WITH_DOS, outcome)
+        for place, outcome in places.items()
+        for i in range(4)
+    ]
+    html = write_report(_write_run(tmp_path / "run", rows)).read_text(encoding="utf-8")
+    assert re.findall(r'data-text="(\w+)"', html) == ["other", "ZAM_Bad", "ZAM_Good"]
+
+
+def test_groups_of_one_meaning_are_shown_once() -> None:
+    def titles(pairs: list[tuple[str, str]]) -> list[str]:
+        row = _row("s", Arm.WITH_DOS, Outcome.SUCCESS)
+        cases = [
+            Case("s", family, road, "succeeded", (row,), ("",), (None,), (np.empty(0),), {}, None)
+            for road, family in pairs
+        ]
+        return [title for title, _ in page.group_tables(cases, 1)]
+
+    assert titles([("urban", "DEU"), ("rural", "USA"), ("urban", "DEU")]) == ["Road kind"]
+    assert titles([("urban", "DEU"), ("urban", "USA")]) == ["Road kind", "Family"]
+
+
+def test_a_missed_goal_is_told_by_how_much(tmp_path: Path) -> None:
+    # One second at 10 m/s does not reach a place that begins at x = 57 m.
+    goal = Goal(first_step=0, last_step=10, position=rectangle(6.0, 3.0, 60.0, 0.0))
+    name = "ZAM_Far-1_1_T-1"
+    path = tmp_path / f"{name}.xml"
+    write_scenario_xml(path, problems=[Problem(goals=(goal,))], benchmark_id=name)
+    out = tmp_path / "run"
+    assert main(["run", str(path), *COAST, "--workers", "1", "--out", str(out)]) == cli.OK
+    ((case,),) = (s["cases"] for s in _data((out / "report.html").read_text("utf-8"))["sections"])
+    told = r"position never reached: closest \d\d\.\d\d m, 1\.0 s after the start, at the last step"
+    assert all(re.match(told, side["why"]) for side in case["sides"])
+
+
+def test_intervals_are_wilsons(tmp_path: Path) -> None:
+    # 8 of 10 (Wilson, 1927): centre (0.8 + z^2/20) / (1 + z^2/10) = 0.7168, half-width 0.2266.
+    outcomes = [Outcome.SUCCESS] * 8 + [Outcome.COLLISION] * 2
+    rows = [_row(f"ZAM_A-{i}_1_T-1", Arm.WITH_DOS, o) for i, o in enumerate(outcomes)]
+    html = write_report(_write_run(tmp_path / "run", rows)).read_text(encoding="utf-8")
+    assert re.search(r"Success, %</th>\s*<td><b>80.0</b></td><td[^>]*>49.0 to 94.3<", html)
+
+
+def test_the_command_writes_where_it_is_told(
+    driven: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "deep" / "page.html"
+    assert main(["report", str(driven), "--out", str(out)]) == cli.OK
+    assert f"report in {out}" in capsys.readouterr().out
+    assert out.is_file()
+    assert main(["report", str(tmp_path)]) == cli.BAD_INPUT
+    assert "is not a run folder" in capsys.readouterr().err
+
+
+def test_a_report_that_fails_does_not_fail_the_run(
+    scenes: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def refuse(*_: object) -> Path:
+        raise FileError("cannot write report.html: no room")
+
+    monkeypatch.setattr("dosplan.report.html.write.write_report", refuse)
+    out = tmp_path / "run"
+    arguments = [str(scenes / "ZAM_Free-1_1_T-1.xml"), *COAST, "--workers", "1"]
+    assert main(["run", *arguments, "--with-dos", "--out", str(out)]) == cli.OK
+    (line,) = (text for text in capsys.readouterr().out.splitlines() if "no report" in text)
+    assert "no room" in line
+    assert (out / "summary.json").is_file()
+
+
+def test_comparisons_link_the_reports_by_relative_paths(driven: Path, tmp_path: Path) -> None:
+    out = driven.parent / "pages" / "compare.html"
+    assert main(["compare", str(driven), str(driven), "--html", str(out)]) == cli.OK
+    html = out.read_text(encoding="utf-8")
+    assert 'href="../run/report.html"' in html
+    first, second = _data(html)["sections"]  # One for each arm.
+    assert first["names"] == second["names"] == ["A", "B"]
+    assert all("episode" in case for section in (first, second) for case in section["cases"])
+
+
+def test_a_row_without_a_recording_tells_what_it_can(tmp_path: Path) -> None:
+    row = _row("ZAM_A-1_1_T-1", Arm.WITH_DOS, Outcome.COLLISION, collision_with=3, at_fault=True)
+    html = write_report(_write_run(tmp_path / "run", [row])).read_text(encoding="utf-8")
+    ((case,),) = (section["cases"] for section in _data(html)["sections"])
+    assert case["sides"][0]["why"] == "touched road user 3; at fault"
+    assert "episode" not in case

@@ -1,0 +1,127 @@
+"""The renderer: what it draws where, read back from matplotlib's artists."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, PathCollection, PolyCollection
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from shapely.geometry import box
+
+from dosplan.geometry import rectangle_corners
+from dosplan.report.film.layers import Sets
+from dosplan.report.film.scene import (
+    EGO_COLOUR,
+    KIND_COLOURS,
+    draw_scene,
+    legend_handles,
+)
+from dosplan.scenario.synthetic import busy_scenario
+from dosplan.types import GoalState, RoadMap, Scenario
+from dosplan.vehicle import VehicleParameters
+
+GOAL = box(60.0, -1.5, 72.0, 1.5)
+VEHICLE = VehicleParameters()
+
+
+@pytest.fixture
+def scenario() -> Scenario:
+    """A car, a truck, a pedestrian and a parked car; the goal lies 60 m ahead."""
+    scene = busy_scenario()
+    goal = GoalState(first_step=80, last_step=90, region=GOAL)
+    return replace(scene, task=replace(scene.task, goals=(goal,)))
+
+
+@pytest.fixture
+def axes() -> Axes:
+    return Figure().add_subplot()
+
+
+def _bodies(axes: Axes) -> dict[str, list[np.ndarray]]:
+    """Corners of the rectangles that are drawn, by colour."""
+    found: dict[str, list[np.ndarray]] = {}
+    for collection in axes.collections:
+        if not isinstance(collection, PolyCollection):
+            continue
+        outlines = [np.asarray(path.vertices) for path in collection.get_paths()]
+        colours = np.resize(collection.get_facecolor(), (len(outlines), 4))
+        for outline, colour in zip(outlines, colours, strict=True):
+            if len(outline) == 5:  # A closed rectangle; a heading is a triangle.
+                found.setdefault(to_hex(tuple(colour)), []).append(outline[:4])
+    return found
+
+
+def test_everybody_is_where_the_recording_says(axes: Axes, scenario: Scenario) -> None:
+    draw_scene(axes, scenario, 40)
+    bodies, tracks = _bodies(axes), scenario.tracks
+    for user, kind in enumerate(tracks.kinds):
+        (drawn,) = bodies[KIND_COLOURS[kind]]
+        expected = rectangle_corners(tracks.states[user, 40, :3], tracks.size[user])
+        np.testing.assert_allclose(drawn, expected)
+
+
+def test_who_is_not_there_is_not_drawn(axes: Axes, scenario: Scenario) -> None:
+    valid = scenario.tracks.valid.copy()
+    valid[0, 40] = False
+    gone = replace(scenario, tracks=replace(scenario.tracks, valid=valid))
+    draw_scene(axes, gone, 40)
+    assert KIND_COLOURS[scenario.tracks.kinds[0]] not in _bodies(axes)
+
+
+def test_past_the_recording_only_the_ego_is_left(axes: Axes, scenario: Scenario) -> None:
+    draw_scene(axes, scenario, scenario.tracks.steps + 5)
+    assert set(_bodies(axes)) == {EGO_COLOUR}
+
+
+def test_ego_stands_at_its_start(axes: Axes, scenario: Scenario) -> None:
+    draw_scene(axes, scenario, 43)
+    (drawn,) = _bodies(axes)[EGO_COLOUR]
+    np.testing.assert_allclose(drawn.mean(axis=0), VEHICLE.centre(scenario.task.start))
+
+
+def test_sets_have_their_full_axes_and_the_latest_is_below(axes: Axes) -> None:
+    centres = np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [np.nan, 0.0]])
+    semi_axes = np.array([[2.0, 1.0], [0.0, 0.0], [4.0, 2.0], [1.0, 1.0]])
+    Sets(axes, zorder=4).show(centres, semi_axes, np.zeros(4), np.array([0.0, 0.5, 1.0, 0.2]))
+    (ellipses,) = (c for c in axes.collections if isinstance(c, EllipseCollection))
+    (points,) = (c for c in axes.collections if isinstance(c, PathCollection))
+    # The latest is drawn first, so that none hides another; what has no extent is a point.
+    np.testing.assert_array_equal(np.asarray(ellipses.get_offsets()), centres[[2, 0]])
+    np.testing.assert_array_equal(np.asarray(ellipses.get_widths()), [8.0, 4.0])
+    np.testing.assert_array_equal(np.asarray(ellipses.get_heights()), [4.0, 2.0])
+    np.testing.assert_array_equal(np.asarray(points.get_offsets()), centres[[1]])
+
+
+def test_view_is_square_and_shows_start_and_goal(axes: Axes, scenario: Scenario) -> None:
+    draw_scene(axes, scenario, 40)
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    assert right - left == pytest.approx(top - bottom)
+    view = box(left, bottom, right, top)
+    assert view.contains(GOAL)
+    assert view.contains(box(0.0, -1.0, 4.0, 1.0))
+
+
+def test_islands_stay_open(scenario: Scenario, tmp_path: Path) -> None:
+    figure = Figure()
+    axes = figure.add_subplot()
+    island = box(18.0, 2.2, 28.0, 4.8)
+    road_map = scenario.road_map
+    pierced = RoadMap(road_map.lanelets, road_map.drivable.difference(island))
+    draw_scene(axes, replace(scenario, road_map=pierced), 40)
+    figure.savefig(tmp_path / "scene.png", dpi=figure.dpi)
+    pixels = imread(tmp_path / "scene.png")
+    points = axes.transData.transform([(23.0, 3.5), (40.0, 3.5)]).round().astype(int)
+    inside, beside = (pixels[len(pixels) - y, x, :3] for x, y in points)
+    np.testing.assert_array_equal(inside, 1.0)
+    assert np.all(beside < 1.0)
+
+
+def test_legend_names_what_occurs(scenario: Scenario) -> None:
+    labels = [str(handle.get_label()) for handle in legend_handles(scenario)]
+    assert labels == ["ego", "goal", "car", "truck", "pedestrian", "parked"]

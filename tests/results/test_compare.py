@@ -1,0 +1,169 @@
+"""Paired differences against figures worked out by hand and by scipy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import bootstrap
+
+from dosplan.results.comparison import Change, CompareError, compare_rows, compare_runs
+from dosplan.results.folder import write_rows
+from dosplan.scoring.score import failed_score
+from dosplan.system.files import write_json
+from dosplan.types import Arm, Outcome, Score
+
+
+def _rows(outcomes: list[Outcome], arm: Arm = Arm.WITH_DOS, velocity: float = 5.0) -> list[Score]:
+    return [
+        replace(
+            failed_score(f"s{i}", arm, ""),
+            outcome=outcome,
+            safe=outcome is not Outcome.COLLISION,
+            at_fault=outcome is Outcome.COLLISION and i % 2 == 0,
+            velocity=velocity + i,
+            steps=10,
+            error=None,
+        )
+        for i, outcome in enumerate(outcomes)
+    ]
+
+
+def _pairs(both: int, only_a: int, only_b: int, neither: int) -> tuple[list[Score], list[Score]]:
+    hit, miss = Outcome.SUCCESS, Outcome.COLLISION
+    a = [hit] * (both + only_a) + [miss] * (only_b + neither)
+    b = [hit] * both + [miss] * only_a + [hit] * only_b + [miss] * neither
+    return _rows(a), _rows(b)
+
+
+def test_mcnemar_is_the_two_sided_binomial_test() -> None:
+    # 1 against 7 discordant scenarios: p = 2 (C(8,0) + C(8,1)) / 2^8 = 18 / 256.
+    result = compare_rows(*_pairs(both=5, only_a=1, only_b=7, neither=2))
+    assert result.n == 15
+    assert (result.success.only_a, result.success.only_b) == (1, 7)
+    assert result.success.p == pytest.approx(18.0 / 256.0)
+    assert result.success.a == pytest.approx(6 / 15)
+    assert result.success.difference == pytest.approx(6 / 15)
+    # Safe mirrors success here, collision is its opposite.
+    assert result.collision.difference == pytest.approx(-6 / 15)
+    assert (result.collision.only_a, result.collision.only_b) == (7, 1)
+
+
+def test_the_interval_is_the_percentile_bootstrap() -> None:
+    a, b = _pairs(both=40, only_a=5, only_b=25, neither=30)
+    difference = np.array([0.0] * 40 + [-1.0] * 5 + [1.0] * 25 + [0.0] * 30)
+    oracle = bootstrap(
+        (difference,), np.mean, method="percentile", n_resamples=20_000, random_state=1
+    ).confidence_interval
+    result = compare_rows(a, b).success
+    # Two independent bootstraps of 10 000 agree to about 0.01, the grain of n = 100.
+    assert result.low == pytest.approx(oracle.low, abs=0.0101)
+    assert result.high == pytest.approx(oracle.high, abs=0.0101)
+    assert result.low < result.difference < result.high
+
+
+def test_velocity_is_compared_where_both_drove() -> None:
+    a = _rows([Outcome.SUCCESS] * 3, velocity=5.0)
+    b = _rows([Outcome.SUCCESS] * 3, velocity=7.0)
+    b[0] = replace(b[0], steps=0, velocity=0.0)
+    result = compare_rows(a, b).velocity
+    assert result is not None
+    assert (result.n, compare_rows(a, b).success.n) == (2, 3)
+    # Scenarios 1 and 2: 6 and 7 m/s against 8 and 9.
+    assert (result.a, result.b, result.difference) == (6.5, 8.5, 2.0)
+    assert (result.low, result.high, result.p) == (2.0, 2.0, None)
+    assert compare_rows(a[:1], b[:1]).velocity is None
+
+
+def test_scenarios_whose_outcome_differs_are_listed() -> None:
+    a = _rows([Outcome.SUCCESS, Outcome.GOAL_MISSED, Outcome.COLLISION])
+    b = _rows([Outcome.SUCCESS, Outcome.SUCCESS, Outcome.OUT_OF_BOUNDS])
+    assert compare_rows(a, b).changes == (
+        Change("s1", Outcome.GOAL_MISSED, Outcome.SUCCESS),
+        Change("s2", Outcome.COLLISION, Outcome.OUT_OF_BOUNDS),
+    )
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.sampled_from(list(Outcome)), min_size=1, max_size=30), st.randoms())
+def test_pairing_ignores_the_order_and_sides_mirror(
+    outcomes: list[Outcome], random: object
+) -> None:
+    a = _rows(outcomes)
+    b = _rows(list(reversed(outcomes)))
+    shuffled = list(b)
+    random.shuffle(shuffled)  # type: ignore[attr-defined]
+    there = compare_rows(a, shuffled)
+    assert there == compare_rows(a, b)
+    back = compare_rows(b, a)
+    assert back.success.difference == pytest.approx(-there.success.difference)
+    assert back.success.p == there.success.p
+    same = compare_rows(a, a)
+    assert (same.success.low, same.success.high, same.success.p) == (0.0, 0.0, 1.0)
+    assert same.changes == ()
+
+
+def test_other_scenarios_are_refused() -> None:
+    rows = _rows([Outcome.SUCCESS] * 3)
+    with pytest.raises(CompareError, match="did not drive the same scenarios: s2 is in one alone"):
+        compare_rows(rows, rows[:2])
+    with pytest.raises(CompareError, match="hold no scenario"):
+        compare_rows([], [])
+
+
+def _write_run(path: Path, arms: dict[Arm, list[Outcome]]) -> Path:
+    n = len(next(iter(arms.values())))
+    manifest = {
+        "scenarios": [f"s{i}" for i in range(n)],
+        "config": {"arms": list(arms)},
+        "planner": "p",
+        "predictor": "q",
+        "versions": {},
+    }
+    write_json(path / "run.json", manifest)
+    rows = [row for arm, outcomes in arms.items() for row in _rows(outcomes, arm)]
+    write_rows(path / "scenarios.jsonl", rows)
+    return path
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> tuple[str, str]:
+    """A run of both arms, where sets win; one of the arm with sets alone, where all is well."""
+    good, bad = [Outcome.SUCCESS] * 2, [Outcome.COLLISION] * 2
+    both = _write_run(tmp_path / "both", {Arm.WITH_DOS: good, Arm.WITHOUT_DOS: bad})
+    single = _write_run(tmp_path / "single", {Arm.WITH_DOS: good})
+    return str(both), str(single)
+
+
+def test_the_arms_of_one_run(runs: tuple[str, str]) -> None:
+    (result,) = compare_runs([runs[0]])
+    assert (result.a, result.b) == (f"{runs[0]}:without_dos", f"{runs[0]}:with_dos")
+    assert result.success.difference == 1.0
+    with pytest.raises(CompareError, match="holds one arm"):
+        compare_runs([runs[1]])
+
+
+@pytest.mark.parametrize(
+    ("specs", "arms", "difference"),
+    [
+        (("{0}", "{1}"), ["with_dos"], 0.0),
+        (("{0}:without_dos", "{1}"), ["with_dos"], 1.0),
+        (("{0}:with_dos", "{0}:without_dos"), ["without_dos"], -1.0),
+        (("{0}", "{0}"), ["with_dos", "without_dos"], 0.0),
+    ],
+)
+def test_two_runs(
+    runs: tuple[str, str], specs: tuple[str, str], arms: list[str], difference: float
+) -> None:
+    results = compare_runs([spec.format(*runs) for spec in specs])
+    assert [result.b.rpartition(":")[2] for result in results] == arms
+    assert {result.success.difference for result in results} == {difference}
+
+
+def test_an_arm_that_is_not_there(runs: tuple[str, str]) -> None:
+    with pytest.raises(CompareError, match="holds no episode of the arm without_dos"):
+        compare_runs([runs[0], f"{runs[1]}:without_dos"])

@@ -1,0 +1,444 @@
+"""A run loses no episode, whatever plug-ins do, and gives the same rows however it is driven."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dosplan.plugins.registry import RegistryError
+from dosplan.results.folder import RunFolder, read_rows
+from dosplan.results.recording import KEPT_EVERY, load_recording
+from dosplan.running import job as episode
+from dosplan.running import run as runner
+from dosplan.running.job import drive_episode
+from dosplan.running.progress import ProgressObserver
+from dosplan.running.run import RunConfig, RunError, run
+from dosplan.scenario import ScenarioError, find_scenarios
+from dosplan.scoring.score import failed_score
+from dosplan.system import workers
+from dosplan.system.files import FileError, read_json
+from dosplan.types import Arm, Outcome
+from tests.support import faulty
+from tests.support.runs import InProcess
+from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+
+FAULTY = Path(faulty.__file__)
+STEPS = 10
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six scenarios of one second: the ego coasts at 10 m/s to a goal 8 to 12 m ahead."""
+    folder = tmp_path_factory.mktemp("scenes")
+    goal = Goal(first_step=0, last_step=STEPS, position=rectangle(4.0, 3.0, 20.0, 0.0))
+    for i in range(6):
+        name = f"ZAM_Test-{i}_1_T-1"
+        write_scenario_xml(
+            folder / f"{name}.xml",
+            users=[User(7, driving(60.0, 0.0, 5.0, STEPS + 1))],
+            problems=[Problem(goals=(goal,))],
+            benchmark_id=name,
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
+    """A run of two scenarios in both arms, driven by a worker process."""
+    return run(_config(tmp_path_factory.mktemp("finished"), scenes, limit=2))
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drives episodes in the test's own process, which is quicker."""
+    monkeypatch.setattr(runner, "LocalExecutor", InProcess)
+
+
+def _config(out: Path, scenes: Path, planner: str = "CoastPlanner", **changes: Any) -> RunConfig:
+    config = RunConfig(
+        out=out,
+        source=str(scenes),
+        planner=f"{FAULTY}:{planner}",
+        predictor=f"{FAULTY}:StillPredictor",
+    )
+    return replace(config, **changes)
+
+
+def _untimed_text(folder: RunFolder) -> str:
+    """``scenarios.jsonl`` without the columns that hold clock times."""
+    rows = [json.loads(line) for line in folder.rows.read_text().splitlines()]
+    return json.dumps([{key: v for key, v in row.items() if "_ms_" not in key} for row in rows])
+
+
+def test_rows_do_not_depend_on_the_number_of_workers(scenes: Path, tmp_path: Path) -> None:
+    # A planner that draws from the global generator: only seeding per episode makes this hold.
+    one = run(_config(tmp_path / "one", scenes, "RandomPlanner", workers=1, limit=3))
+    two = run(_config(tmp_path / "two", scenes, "RandomPlanner", workers=2, limit=3))
+    assert _untimed_text(one) == _untimed_text(two)
+    rows = read_rows(one.rows)
+    assert len({row.velocity for row in rows}) == 1  # Three equal scenes: nothing leaks along.
+    assert rows[0].velocity != pytest.approx(10.0, abs=1e-6)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_the_seed_reaches_the_planner(scenes: Path, tmp_path: Path) -> None:
+    velocities = {
+        read_rows(run(_config(tmp_path / name, scenes, "RandomPlanner", seed=seed, limit=1)).rows)[
+            0
+        ].velocity
+        for name, seed in (("a", 0), ("b", 1), ("c", 1))
+    }
+    assert len(velocities) == 2
+
+
+def test_the_arms_share_everything_but_the_sets(finished: RunFolder) -> None:
+    with_dos, without_dos = (
+        load_recording(finished.recording("ZAM_Test-0_1_T-1", arm)) for arm in Arm
+    )
+    assert (with_dos.set_semi_axes == 1.0).all()
+    assert (without_dos.set_semi_axes == 0.0).all()
+    assert (with_dos.states == without_dos.states).all()
+    assert (with_dos.set_centres == without_dos.set_centres).all()
+
+
+def test_run_json_says_what_was_run(scenes: Path, finished: RunFolder) -> None:
+    manifest = read_json(finished.manifest)
+    assert manifest["scenarios"] == ["ZAM_Test-0_1_T-1", "ZAM_Test-1_1_T-1"]
+    assert (manifest["planner"], manifest["predictor"]) == ("coast-v1", "still-v1")
+    assert manifest["config"]["arms"] == ["with_dos", "without_dos"]
+    assert {"python", "dosplan", "numpy"} <= manifest["versions"].keys()
+    assert manifest["machine"]["cpu_count"] == os.cpu_count()
+
+
+def test_no_file_of_a_run_names_its_own_folder(finished: RunFolder) -> None:
+    for file in finished.path.rglob("*.*"):
+        assert str(finished.path).encode() not in file.read_bytes(), file
+
+
+def test_a_finished_run_that_was_moved_is_not_driven_again(
+    scenes: Path, finished: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(finished.path, tmp_path / "moved")
+    monkeypatch.setattr(runner, "LocalExecutor", None)  # Driving anything would raise.
+    calls: list[tuple[int, int]] = []
+    config = _config(tmp_path / "moved", scenes, limit=2, workers=2)
+    folder = run(config, ProgressObserver(lambda done, total: calls.append((done, total))))
+    for name in ("scenarios.jsonl", "run.json", "summary.json", "summary.md"):
+        assert (folder.path / name).read_bytes() == (finished.path / name).read_bytes()
+    assert calls == [(4, 4)]
+
+
+def test_options_reach_the_plugins_and_run_json(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = _config(tmp_path / "run", scenes, "TunedPlanner", limit=1, arms=(Arm.WITH_DOS,))
+    options: dict[str, Any] = {
+        "planner_options": {"acceleration": 2.0},
+        "predictor_options": {"horizon": 20},
+    }
+    config = replace(config, **options)
+    folder = run(config)
+    (row,) = read_rows(folder.rows)
+    # From 10 m/s it goes on at 2 m/s^2 for less than a second: 10 to 12 m/s, 10 to 11 on average.
+    assert 10.1 < row.velocity < 11.0
+    recording = load_recording(folder.recording(row.scenario, row.arm))
+    assert recording.set_centres.shape[1] == 20 // KEPT_EVERY
+    manifest, summary = read_json(folder.manifest), read_json(folder.summary)
+    assert options.items() <= manifest["config"].items()
+    assert options.items() <= summary["run"].items()
+    monkeypatch.setattr(runner, "LocalExecutor", None)  # Driving anything would raise.
+    assert read_rows(run(config).rows) == [row]
+
+
+def test_options_are_copied_and_travel_with_the_configuration() -> None:
+    given = {"gain": [1, 2.5, None, {"kind": "a"}], "fast": True}
+    config = RunConfig(out=Path("run"), planner_options=given)
+    given["fast"] = False
+    assert config.planner_options["fast"] is True
+    assert pickle.loads(pickle.dumps(config)) == config
+    assert hash(config) == hash(replace(config))
+    assert config != replace(config, planner_options=given)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_one_arm_alone_has_no_comparison(scenes: Path, tmp_path: Path) -> None:
+    folder = run(_config(tmp_path / "run", scenes, limit=1, arms=(Arm.WITHOUT_DOS,)))
+    assert read_json(folder.summary).keys() == {"without_dos", "run"}
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"workers": 1, "replan_every": 2}, "replan_every"),
+        ({"seed": 1}, "seed"),
+        ({"limit": 2}, "limit"),
+        ({"planner": f"{FAULTY}:SlowPlanner"}, "planner"),
+        ({"arms": (Arm.WITH_DOS,)}, "arms"),
+        ({"ranked": False}, "ranked"),
+        ({"predictor_options": {"horizon": 10}}, "predictor_options"),
+    ],
+)
+def test_another_configuration_overwrites_nothing(
+    scenes: Path, tmp_path: Path, change: dict[str, Any], named: str
+) -> None:
+    config = _config(tmp_path / "run", scenes, limit=1)
+    runner._open_folder(RunFolder(config.out), runner._manifest(config, find_scenarios(scenes)[:1]))
+    before = RunFolder(config.out).manifest.read_bytes()
+    with pytest.raises(RunError, match=f"another {named}; nothing was changed"):
+        run(replace(config, **change))
+    assert RunFolder(config.out).manifest.read_bytes() == before
+    assert [path.name for path in config.out.iterdir()] == ["run.json"]
+
+
+@pytest.mark.parametrize("changed", ["planner.py", "scenes/ZAM_Test-0_1_T-1.xml"])
+def test_other_content_of_the_same_files_is_another_run(
+    scenes: Path, tmp_path: Path, changed: str
+) -> None:
+    shutil.copy(FAULTY, tmp_path / "planner.py")
+    shutil.copytree(scenes, tmp_path / "scenes")
+    config = _config(tmp_path / "run", tmp_path / "scenes", limit=1)
+    config = replace(config, planner=f"{tmp_path / 'planner.py'}:CoastPlanner")
+    refs = find_scenarios(config.source)[:1]
+    runner._open_folder(RunFolder(config.out), runner._manifest(config, refs))
+    with (tmp_path / changed).open("a") as file:
+        file.write("\n")
+    with pytest.raises(RunError, match="another content of its planner, predictor, weight or"):
+        run(config)
+
+
+@pytest.mark.usefixtures("in_process")
+def test_the_same_source_by_another_path_is_the_same_run(scenes: Path, tmp_path: Path) -> None:
+    config = _config(tmp_path / "run", scenes, limit=1)
+    text = run(config).rows.read_text()
+    again = run(replace(config, source=f"{scenes}/../{scenes.name}/"))
+    assert again.rows.read_text() == text
+
+
+@pytest.mark.usefixtures("in_process")
+def test_an_episode_whose_file_is_gone_is_driven_again(scenes: Path, tmp_path: Path) -> None:
+    config = _config(tmp_path / "run", scenes, limit=1)
+    folder = run(config)
+    recording = folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS)
+    recording.unlink()
+    run(config)
+    assert recording.is_file()
+
+
+@pytest.mark.parametrize("content", ["{}", "[]", '{"config": 3}'])
+def test_a_run_json_of_another_kind_is_named(scenes: Path, tmp_path: Path, content: str) -> None:
+    (tmp_path / "run.json").write_text(content)
+    with pytest.raises(FileError, match=r"run\.json is not a run\.json of this version"):
+        run(_config(tmp_path, scenes))
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(scenes: Path, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(RunError, match="is not empty and holds no run"):
+        run(_config(tmp_path, scenes))
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+@pytest.mark.usefixtures("in_process")
+def test_a_summary_is_headed_by_what_was_set(scenes: Path, tmp_path: Path) -> None:
+    config = _config(
+        tmp_path / "run", scenes, limit=1, predictor="growing-circle", predictor_options={"z": 0.7}
+    )
+    heading = run(config).summary_text.read_text().splitlines()[0]
+    assert heading.endswith(", seed 0, predictor.z=0.7")
+
+
+@pytest.mark.usefixtures("in_process")
+def test_a_predictor_that_sees_the_future_is_refused_or_marked(
+    scenes: Path, tmp_path: Path
+) -> None:
+    config = _config(tmp_path / "run", scenes, limit=1, predictor=f"{FAULTY}:SeerPredictor")
+    with pytest.raises(RunError, match=r"seer-v1 is shown the future.*--unranked"):
+        run(config)
+    assert not config.out.exists()
+    folder = run(replace(config, ranked=False, arms=(Arm.WITH_DOS,)))
+    assert read_json(folder.summary)["run"]["ranked"] is False
+    assert "unranked" in folder.summary_text.read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"planner": "no-such"}, RegistryError),
+        ({"predictor": "no-such"}, RegistryError),
+        ({"planner_options": {"gain": 1.0}}, RegistryError),
+        ({"predictor_options": {"horzion": 10}}, RegistryError),
+        ({"source": "no-such-folder"}, ScenarioError),
+    ],
+)
+def test_bad_input_is_refused_before_a_folder_is_made(
+    scenes: Path, tmp_path: Path, change: dict[str, Any], error: type[Exception]
+) -> None:
+    config = _config(tmp_path / "run", scenes, **change)
+    with pytest.raises(error):
+        run(config)
+    assert not config.out.exists()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"workers": 0},
+        {"limit": 0},
+        {"replan_every": 0},
+        {"episode_timeout": 0.0},
+        {"episode_timeout": float("nan")},
+        {"episode_timeout": float("inf")},
+        {"seed": -1},
+        {"arms": ()},
+        {"arms": (Arm.WITH_DOS, Arm.WITH_DOS)},
+        {"planner_options": {"gain": float("nan")}},
+        {"planner_options": {"file": Path("weights")}},
+        # JSON would turn these into a list and a text, and the run could never be resumed.
+        {"predictor_options": {"range": (1, 2)}},
+        {"predictor_options": {"by_kind": {1: 2}}},
+    ],
+)
+def test_a_config_without_sense_is_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(RunError, match=next(iter(change))):
+        RunConfig(out=Path("run"), **change)
+
+
+def test_an_episode_is_driven_scored_and_recorded(scenes: Path, tmp_path: Path) -> None:
+    ref = find_scenarios(scenes)[0]
+    result = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes))
+    row = result.row
+    assert (row.outcome, row.scenario) == (Outcome.SUCCESS, ref.id)
+    # The goal begins at x = 18 m, the ego's centre starts at 10 m with 10 m/s: 8 steps.
+    assert row.steps == pytest.approx(8, abs=1)
+    assert not any(tmp_path.iterdir())  # The runner alone writes.
+    (tmp_path / "episode.npz").write_bytes(result.recording or b"")
+    recording = load_recording(tmp_path / "episode.npz")
+    assert len(recording.inputs) == row.steps
+    assert recording.set_ids.tolist() == [7] * row.steps
+
+
+def test_a_failed_plugin_is_made_anew(scenes: Path, tmp_path: Path) -> None:
+    config = _config(tmp_path, scenes, "LeakyPlanner")
+    first, broken, last = (
+        drive_episode(ref, Arm.WITH_DOS, config).row for ref in find_scenarios(scenes)[:3]
+    )
+    assert first.outcome is last.outcome is Outcome.SUCCESS
+    assert "broken for good" in str(broken.error)
+
+
+@pytest.mark.parametrize(
+    ("planner", "message"),
+    [
+        ("UnbuildablePlanner", "cannot be built: OSError: the weights are missing"),
+        ("FaultyPlanner", "SystemExit: enough"),
+    ],
+)
+@pytest.mark.usefixtures("in_process")
+def test_what_a_plugin_raises_is_in_the_row_and_its_traceback_in_a_file(
+    scenes: Path, tmp_path: Path, planner: str, message: str
+) -> None:
+    config = _config(tmp_path / "run", scenes, planner, arms=(Arm.WITH_DOS,))
+    folder = run(replace(config, source=str(scenes / "ZAM_Test-5_1_T-1.xml")))
+    (row,) = read_rows(folder.rows)
+    assert row.outcome is Outcome.PLANNER_FAILURE
+    assert message in str(row.error)
+    trace = folder.traceback(row.scenario, row.arm).read_text()
+    assert trace.startswith("Traceback")
+    assert message.split(": ")[-1] in trace
+
+
+def test_a_row_that_cannot_be_written_becomes_one_that_can(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bad = replace(failed_score("s", Arm.WITH_DOS, ""), velocity=float("nan"))
+    monkeypatch.setattr(episode, "score", lambda *_: bad)
+    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes)).row
+    assert "ValueError: Out of range float values" in str(row.error)
+
+
+def test_an_episode_that_does_not_fit_its_file_is_a_row(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def save(*_: object) -> None:
+        raise TypeError("a report of words")
+
+    monkeypatch.setattr(episode, "pack_recording", save)
+    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes)).row
+    assert (row.outcome, row.error) == (
+        Outcome.PLANNER_FAILURE,
+        "TypeError: a report of words",
+    )
+
+
+def test_rows_do_not_depend_on_what_was_drawn_before_a_plugin_was_made(
+    scenes: Path, tmp_path: Path
+) -> None:
+    ref, config = find_scenarios(scenes)[0], _config(tmp_path, scenes, "RandomlyMadePlanner")
+    velocities = set()
+    for draws in (0, 5):
+        episode._plugins.cache_clear()
+        np.random.uniform(size=draws)  # noqa: NPY002
+        velocities.add(drive_episode(ref, Arm.WITH_DOS, config).row.velocity)
+    assert len(velocities) == 1
+
+
+def test_a_broken_scenario_file_is_a_row(scenes: Path, tmp_path: Path) -> None:
+    file = tmp_path / "ZAM_Broken-1_1_T-1.xml"
+    file.write_text("<commonRoad")
+    (ref,) = find_scenarios(file)
+    row = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes)).row
+    assert row.outcome is Outcome.PLANNER_FAILURE
+    assert "ScenarioError" in str(row.error)
+
+
+def test_an_episode_that_cannot_be_saved_ends_the_run(scenes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    out.mkdir()
+    config = _config(out, scenes, limit=1, arms=(Arm.WITH_DOS,))
+    runner._open_folder(RunFolder(out), runner._manifest(config, find_scenarios(scenes)[:1]))
+    (out / "episodes").write_text("a file where a folder should be")
+    with pytest.raises(FileError, match=r"cannot write .*ZAM_Test-0_1_T-1\.with_dos\.npz"):
+        run(config)
+
+
+def test_workers_end_with_a_runner_that_is_killed_and_print_to_stderr(
+    scenes: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    plugins = ["--planner", f"{FAULTY}:HangingPlanner", "--predictor", f"{FAULTY}:StillPredictor"]
+    command = [sys.executable, "-m", "dosplan", "run", str(scenes), *plugins, "--workers", "1"]
+    command += ["--limit", "2", "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60.0
+    while len(read_rows(out / "scenarios.jsonl")) < 2:
+        assert process.poll() is None, process.stderr and process.stderr.read()
+        assert time.monotonic() < deadline, "no row appeared"
+        time.sleep(0.05)
+    time.sleep(0.5)  # The worker hangs in the third episode now.
+    process.kill()
+    # The pipes end when the last process that holds them does: an orphan would keep them open.
+    shown, complaint = process.communicate(timeout=20)
+    assert shown == ""
+    assert "hanging" in complaint
+
+
+def test_workers_get_one_thread_each_and_the_environment_is_put_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with workers.environment({"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}):
+        assert os.environ["OMP_NUM_THREADS"] == os.environ["MKL_NUM_THREADS"] == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in os.environ

@@ -1,0 +1,62 @@
+"""A folder is listed whole, whatever lies in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from dosplan.scenario import ScenarioError, find_scenarios
+from tests.support.scenes import Problem, write_scenario_xml
+
+
+def test_broken_files_of_one_name_are_told_apart_by_their_paths(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "broken.xml").write_text("<commonRoad")
+    (tmp_path / "alone.xml").write_text("<commonRoad")
+    (tmp_path / "ZAM_A-1_1_T-1.xml").write_text("<commonRoad")
+    write_scenario_xml(tmp_path / "good.xml", benchmark_id="ZAM_A-1_1_T-1")
+    assert [ref.id for ref in find_scenarios(tmp_path)] == [
+        "ZAM_A-1_1_T-1.xml",  # The good file has the stem of this broken one for its id.
+        "a/broken.xml",
+        "alone",
+        "b/broken.xml",
+        "ZAM_A-1_1_T-1",
+    ]
+
+
+def test_hidden_files_are_passed_over(tmp_path: Path) -> None:
+    write_scenario_xml(tmp_path / "a.xml", benchmark_id="ZAM_A-1_1_T-1")
+    (tmp_path / "._a.xml").write_bytes(b"\0\5\x16\7")  # What macOS leaves in archives.
+    assert [ref.path.name for ref in find_scenarios(tmp_path)] == ["a.xml"]
+
+
+def test_a_planning_problem_that_is_named_twice_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.xml"
+    write_scenario_xml(
+        path, problems=[Problem(id=100), Problem(id=100)], benchmark_id="ZAM_A-1_1_T-1"
+    )
+    with pytest.raises(ScenarioError, match="names planning problem 100 twice; give one another"):
+        find_scenarios(path)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_problems_are_counted_whatever_surrounds_them(tmp_path: Path, encoding: str) -> None:
+    """Files with one problem are listed by a shortcut, which must not be seen."""
+    one, two = tmp_path / "one.xml", tmp_path / "two.xml"
+    write_scenario_xml(one, benchmark_id="ZAM_A-1_1_T-1")
+    problems = [Problem(id=100), Problem(id=101)]
+    write_scenario_xml(two, problems=problems, benchmark_id="ZAM_B-1_1_T-1")
+    for path in (one, two):
+        text = path.read_text()
+        head = f'<?xml version="1.0" encoding="{encoding}"?>'
+        body = text.partition("?>")[2] if text.startswith("<?xml") else text
+        commented = "<!-- <planningProblem id='7'> --><planningProblem"
+        body = body.replace("<planningProblem", commented, 1)
+        path.write_text(head + body, encoding=encoding)
+    assert [ref.id for ref in find_scenarios(tmp_path)] == [
+        "ZAM_A-1_1_T-1",
+        "ZAM_B-1_1_T-1@100",
+        "ZAM_B-1_1_T-1@101",
+    ]

@@ -1,0 +1,105 @@
+"""Tiny models with random weights, and scenes that several tests of the models share."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from dosplan_dos.losses import LossConfig
+from dosplan_dos.module import OccupancyModule, SetConfig
+from dosplan_dos.shapes import Variant
+from dosplan_dos.training import MODEL as SETS_MODEL
+from dosplan_dos.training import describe_config
+from dosplan_net.network import NetworkConfig, TrajectoryNetwork
+from dosplan_net.training import MODEL as NETWORK_MODEL
+from dosplan_net.weights import save_weights
+from shapely import affinity
+
+from dosplan.simulation.loop import observe
+from dosplan.types import FloatArray, Observation, RoadMap, Scenario, Tracks
+from tests.support.factories import straight_scenario
+
+torch.set_num_threads(1)  # For models this small more threads only cost time.
+
+TINY = NetworkConfig(history=8, map=8, hidden=12, heads=2, decoder=16)
+
+
+def tiny_network(seed: int = 0, config: NetworkConfig = TINY) -> TrajectoryNetwork:
+    """A network whose decoder says more than a fresh one's, so that its inputs matter."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        network = TrajectoryNetwork(config)
+    with torch.no_grad():
+        network.get_parameter("decoder.2.weight").mul_(10.0)
+    return network.eval()
+
+
+def save_network(path: Path, seed: int = 0) -> Path:
+    """Writes a tiny network as training would."""
+    about = {"model": NETWORK_MODEL, "network": asdict(TINY), "validation": {"ade": 1.0}}
+    save_weights(path, tiny_network(seed).state_dict(), about)
+    return path
+
+
+def save_sets(path: Path, variant: Variant = Variant.FREE, seed: int = 0) -> Path:
+    """Writes a tiny module on the features of a tiny network as training would."""
+    config = SetConfig(variant, LossConfig(), features=TINY.hidden, hidden=8)
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        module = OccupancyModule(config)
+    with torch.no_grad():
+        module.get_parameter("decoder.2.weight").mul_(5.0)
+    about = {"model": SETS_MODEL, "module": describe_config(config), "validation": {"osa90": 1.0}}
+    save_weights(path, module.state_dict(), about)
+    return path
+
+
+def seen(scenario: Scenario, history: int = 31) -> Observation:
+    """What is known at the start of a scenario."""
+    task = scenario.task
+    return observe(scenario, task.start_step, task.start[None], history)
+
+
+def seen_at(tracks: Tracks, step: int, history: int = 31) -> Observation:
+    """What is known of some tracks on the straight road."""
+    scenario = straight_scenario(tracks)
+    return observe(scenario, step, scenario.task.start[None], history)
+
+
+def turned(points: FloatArray, angle: float) -> FloatArray:
+    """(..., 2) points turned about the origin."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.asarray(points @ np.array([[cosine, sine], [-sine, cosine]]))
+
+
+def moved_states(states: FloatArray, angle: float, shift: FloatArray) -> FloatArray:
+    """(..., 4) road-user states, turned about the origin and then shifted."""
+    out = np.array(states)
+    out[..., :2] = turned(states[..., :2], angle) + shift
+    out[..., 2] += angle
+    return out
+
+
+def moved_map(road_map: RoadMap, angle: float, shift: FloatArray) -> RoadMap:
+    """A map, turned about the origin and then shifted."""
+    lanelets = tuple(
+        replace(
+            lanelet,
+            left=turned(lanelet.left, angle) + shift,
+            right=turned(lanelet.right, angle) + shift,
+        )
+        for lanelet in road_map.lanelets
+    )
+    drivable = affinity.rotate(road_map.drivable, angle, origin=(0.0, 0.0), use_radians=True)
+    return RoadMap(lanelets, affinity.translate(drivable, *shift))
+
+
+def moved(observation: Observation, angle: float, shift: FloatArray) -> Observation:
+    """The same scene elsewhere: road users and map; the ego, whom nobody foresees, stays."""
+    return replace(
+        observation,
+        states=moved_states(observation.states, angle, shift),
+        road_map=moved_map(observation.road_map, angle, shift),
+    )

@@ -1,0 +1,173 @@
+"""The value types refuse what they cannot hold, and what they hold cannot be changed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dosplan.scenario.synthetic import busy_scenario, growing_sets
+from dosplan.simulation.loop import observe
+from dosplan.types import (
+    Episode,
+    GoalState,
+    Observation,
+    Occupancy,
+    Plan,
+    PlanningTask,
+    ShapeError,
+    SolveReport,
+    SolveStatus,
+    Tracks,
+)
+from tests.support.factories import occupancy_at, steady_tracks, straight_route, straight_scenario
+
+
+def test_arrays_are_read_only_and_the_given_ones_stay_writable() -> None:
+    states = np.zeros((3, 5))
+    plan = Plan(states=states, inputs=np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="read-only"):
+        plan.states[0, 0] = 1.0
+    with pytest.raises(ValueError, match="WRITEABLE"):
+        plan.states.setflags(write=True)
+    # A planner that uses its buffer again does not rewrite what was recorded.
+    states[0, 0] = 1.0
+    assert plan.states[0, 0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("status", "solved"),
+        ("iterations", 2.0),
+        ("iterations", -1),
+        ("iterations", True),
+        ("seconds", np.nan),
+        ("seconds", "fast"),
+        ("slack", np.inf),
+        ("active_ids", [1]),
+        ("active_ids", (1.5,)),
+        ("fallback", True),
+    ],
+)
+def test_report_names_the_field_that_is_no_such_thing(field: str, value: object) -> None:
+    with pytest.raises(ShapeError, match=rf"SolveReport\.{field} is .*, expected"):
+        SolveReport(**{field: value})  # type: ignore[arg-type]
+
+
+def test_report_takes_the_numbers_of_numpy_and_a_plan_takes_only_reports() -> None:
+    report = SolveReport(SolveStatus.SOLVED, np.int64(3), np.float64(0.1), 0, (np.int64(7),), "x")  # type: ignore[arg-type]
+    assert Plan(np.zeros((2, 5)), np.zeros((1, 2)), report).report is report
+    with pytest.raises(ShapeError, match=r"Plan\.report is None, expected a SolveReport"):
+        Plan(np.zeros((2, 5)), np.zeros((1, 2)), None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("states", "inputs", "message"),
+    [
+        (np.zeros((3, 5)), np.zeros((3, 2)), r"Plan.states has shape \(3, 5\), expected \(4, 5\)"),
+        (np.zeros((3, 4)), np.zeros((2, 2)), r"expected \(3, 5\)"),
+        (np.zeros((1, 5)), np.zeros((0, 2)), "needs one step"),
+        (np.full((2, 5), np.nan), np.zeros((1, 2)), "Plan.states holds a NaN"),
+        (np.zeros((2, 5)), np.full((1, 2), np.inf), "Plan.inputs holds a NaN or an infinite"),
+        (np.zeros((2, 5)), [["fast", 0.0]], "not an array of float64"),
+    ],
+)
+def test_plan_names_the_field_and_the_shape(
+    states: np.ndarray, inputs: np.ndarray, message: str
+) -> None:
+    with pytest.raises(ShapeError, match=message):
+        Plan(states=states, inputs=inputs)
+
+
+def test_occupancy_checks_only_what_is_valid() -> None:
+    sets = occupancy_at(np.array([[10.0, 0.0]]), 3, semi_axis=1.0)
+    centre, valid = np.array(sets.centre), np.array(sets.valid)
+    centre[0, 2] = np.nan
+    with pytest.raises(ShapeError, match=r"Occupancy\.centre"):
+        replace(sets, centre=centre)
+    valid[0, 2] = False
+    assert replace(sets, centre=centre, valid=valid).horizon == 3
+
+
+def test_occupancy_refuses_negative_semi_axes() -> None:
+    with pytest.raises(ShapeError, match="negative"):
+        occupancy_at(np.array([[10.0, 0.0]]), 3, semi_axis=-0.1)
+    occupancy_at(np.array([[10.0, 0.0]]), 3, semi_axis=0.0)
+
+
+def test_without_sets_keeps_everything_but_the_semi_axes() -> None:
+    sets = growing_sets(observe(busy_scenario(), 40, busy_scenario().task.start[None], 5))
+    bare = sets.without_sets()
+    assert isinstance(bare, Occupancy)
+    assert not bare.semi_axes.any()
+    assert sets.semi_axes.all()
+    for field in ("ids", "centre", "angle", "valid", "footprint", "heading"):
+        np.testing.assert_array_equal(getattr(bare, field), getattr(sets, field))
+
+
+def test_tracks_refuse_two_of_the_same_id_and_holes_that_are_marked_valid() -> None:
+    tracks = steady_tracks([[0.0, 0.0, 0.0, 1.0], [9.0, 0.0, 0.0, 1.0]], steps=4)
+    with pytest.raises(ShapeError, match="twice"):
+        replace(tracks, ids=np.array([5, 5]))
+    with pytest.raises(ShapeError, match="kinds has 1"):
+        replace(tracks, kinds=tracks.kinds[:1])
+    states = np.array(tracks.states)
+    states[1, 2] = np.nan
+    with pytest.raises(ShapeError, match="marked valid"):
+        replace(tracks, states=states)
+    valid = np.array(tracks.valid)
+    valid[1, 2] = False
+    assert isinstance(replace(tracks, states=states, valid=valid), Tracks)
+
+
+def test_observation_refuses_a_road_user_that_is_not_on_the_scene() -> None:
+    seen = observe(busy_scenario(), 40, busy_scenario().task.start[None], 5)
+    valid = np.array(seen.valid)
+    valid[0, -1] = False
+    with pytest.raises(ShapeError, match="not on the scene now"):
+        replace(seen, valid=valid)
+    assert isinstance(seen, Observation)
+
+
+def test_task_names_the_scenario_in_its_complaint() -> None:
+    task = straight_scenario().task
+    with pytest.raises(ShapeError, match=r"PlanningTask.start.*\(scenario straight\)"):
+        replace(task, start=np.full(5, np.nan))
+    with pytest.raises(ShapeError, match=r"goals is empty \(scenario straight\)"):
+        replace(task, goals=())
+    assert PlanningTask(
+        "a", 0.1, 0, np.zeros(5), (GoalState(0, 1),), 1, straight_route()
+    ).goals == (GoalState(0, 1),)
+
+
+def test_route_needs_increasing_arc_lengths() -> None:
+    route = straight_route()
+    arclength = np.array(route.arclength)
+    arclength[3] = arclength[2]
+    with pytest.raises(ShapeError, match="increase strictly"):
+        replace(route, arclength=arclength)
+
+
+def test_episode_counts_its_occupancies() -> None:
+    with pytest.raises(ShapeError, match=r"Episode.occupancies has 1.*expected 0"):
+        Episode(
+            scenario_id="a",
+            arm="with_dos",  # type: ignore[arg-type]
+            start_step=0,
+            states=np.zeros((1, 5)),
+            inputs=np.zeros((0, 2)),
+            end="time_over",  # type: ignore[arg-type]
+            predict_seconds=np.zeros(0),
+            plan_seconds=np.zeros(0),
+            plans=(),
+            occupancies=(occupancy_at(np.zeros((1, 2)), 2),),
+            cycle_steps=np.zeros(0, dtype=np.int64),
+        )
+
+
+def test_every_solve_status_says_what_to_do() -> None:
+    words = [status.word for status in SolveStatus]
+    assert len(set(words)) == len(words)
+    assert all(status.advice.endswith(".") for status in SolveStatus)

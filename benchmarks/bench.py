@@ -37,8 +37,8 @@ from dosplan_mpc.shape import STATIONS, station_offsets
 from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, STAGE_HEAD, STATE_SIZE, STATION_SIZE
 from dosplan_net.encoder import MAP, SCENE, shipped_weights
 from dosplan_net.engine import Engine
+from dosplan_net.export import export
 from dosplan_net.features import HISTORY, cut_map, describe
-from dosplan_net.graphs import export
 from rich.console import Console
 
 from benchmarks.scenes import steady_flow, tiled

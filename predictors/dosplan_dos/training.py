@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from dosplan_net.batches import Selection
-from dosplan_net.cache import WindowCache
+from dosplan_net.build import load_network
 from dosplan_net.features import kinds_of
 from dosplan_net.network import constant_velocity
-from dosplan_net.optimise import FitSettings, fit
-from dosplan_net.training import NET, foretold, load_network, run_over
+from dosplan_net.training.batches import Selection
+from dosplan_net.training.cache import WindowCache
+from dosplan_net.training.optimise import FitSettings, fit
+from dosplan_net.training.train import NET, foretold, run_over
 from dosplan_net.weights import load_model, load_weights, save_weights
 from torch import Tensor, nn
 

@@ -21,15 +21,15 @@ SHIPPED = "net.safetensors"
 
 
 def _load_map(weights: Path) -> MapGraph:
+    from dosplan_net.build import load_network
     from dosplan_net.graphs import MapGraph
-    from dosplan_net.training import load_network
 
     return MapGraph(load_network(weights))
 
 
 def _load_scene(weights: Path) -> SceneGraph:
+    from dosplan_net.build import load_network
     from dosplan_net.graphs import SceneGraph
-    from dosplan_net.training import load_network
 
     return SceneGraph(load_network(weights))
 

@@ -1,12 +1,9 @@
-"""The network as graphs of plain tensors: run by torch, or exported to ONNX files."""
+"""The network as graphs of plain tensors, and torch as what runs them."""
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,8 +11,6 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from dosplan.system.files import write_bytes
-from dosplan_net.engine import EngineError, Model, origin
 from dosplan_net.features import (
     HISTORY,
     HISTORY_SIZE,
@@ -29,8 +24,6 @@ from dosplan_net.features import (
     Float32Array,
 )
 from dosplan_net.network import Scene, TrajectoryNetwork
-
-OPSET = 17  # Old enough for every onnxruntime that is allowed.
 
 
 class Graph(nn.Module, ABC):
@@ -124,46 +117,3 @@ class TorchFunction:
         with torch.inference_mode():
             found = self._graph(*(torch.from_numpy(arrays[name]) for name in self._graph.inputs))
         return [np.asarray(tensor.numpy(), dtype=np.float32) for tensor in found]
-
-
-def export(model: Model, weights: Path, folder: Path) -> Path:
-    """Writes a model as an ONNX file that notes which weights it was made from.
-
-    Args:
-        model: The kind of model.
-        weights: Its weights.
-        folder: Where to write.
-
-    Returns:
-        The file.
-
-    Raises:
-        EngineError: The package onnx is missing.
-        FileError: The file cannot be written.
-        WeightsError: The weights cannot be read.
-    """
-    try:
-        import onnx
-    except ImportError:
-        raise EngineError('an export needs onnx: pip install "dosplan[onnx]"') from None
-    graph = model.load(weights)
-    with TemporaryDirectory() as scratch, warnings.catch_warnings():
-        traced = Path(scratch) / "traced.onnx"
-        # Tracing warns of every shape that decides a branch: ours decide on empty maps only, and
-        # the encoder never shows the network one. The newer exporter needs yet another package.
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            graph,
-            graph.example(),
-            traced,
-            dynamo=False,
-            opset_version=OPSET,
-            input_names=list(graph.inputs),
-            output_names=list(graph.outputs),
-            dynamic_axes={name: {0: length} for name, length in graph.inputs.items()},
-        )
-        content = onnx.load(traced)
-    onnx.helper.set_model_props(content, origin(weights))
-    path = folder / weights.with_suffix(model.suffix).name
-    write_bytes(path, content.SerializeToString())
-    return path

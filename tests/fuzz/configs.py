@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import yaml
-from dosplan_dos.commands import _read as read_config
 from dosplan_dos.training import SetTraining
-from dosplan_net.training import NetTraining
+from dosplan_net.commands import read_training
+from dosplan_net.training.train import NetTraining
 
 from dosplan.cli.command import BAD_INPUT
 from dosplan.evaluation.methods import build, check_labels, read_methods
@@ -49,7 +49,7 @@ def damaged_trainings(case: Case) -> None:
     name, kind = case.random.choice((("net.yaml", NetTraining), ("dos.yaml", SetTraining)))
     path = _damaged(case, _PREDICTORS / name)
     with one_line_at_most(path.name):
-        assert isinstance(read_config(path, kind), kind)
+        assert isinstance(read_training(path, kind), kind)
 
 
 def strange_settings(case: Case) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from dosplan_net.cache import build_cache
+from dosplan_net.training.cache import build_cache
 
 from tests.support.suite import SUITE
 

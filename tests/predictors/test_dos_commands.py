@@ -6,9 +6,10 @@ import argparse
 from pathlib import Path
 
 import pytest
-from dosplan_dos.commands import DATA, TRAIN
+from dosplan_dos.commands import TRAIN
 from dosplan_dos.training import load_module
-from dosplan_net.cache import WindowCache
+from dosplan_net.commands import DATA
+from dosplan_net.training.cache import WindowCache
 
 from dosplan.cli.command import Command, CommandError, offered_commands
 from tests.predictors.conftest import CACHED

@@ -23,9 +23,9 @@ from dosplan_dos.training import (
     scores,
     train_module,
 )
-from dosplan_net.cache import WindowCache
 from dosplan_net.network import constant_velocity
-from dosplan_net.optimise import FitSettings
+from dosplan_net.training.cache import WindowCache
+from dosplan_net.training.optimise import FitSettings
 
 from tests.support.models import TINY, save_network, save_sets
 

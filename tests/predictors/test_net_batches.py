@@ -8,10 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dosplan_net.batches import RawBatch, Selection, forgetful, in_order, mirrored, read_scenes
-from dosplan_net.cache import WindowCache
 from dosplan_net.features import HISTORY
 from dosplan_net.network import TrajectoryNetwork, neighbour_relation, piece_relation
+from dosplan_net.training.batches import (
+    RawBatch,
+    Selection,
+    forgetful,
+    in_order,
+    mirrored,
+    read_scenes,
+)
+from dosplan_net.training.cache import WindowCache
 
 from tests.support.models import tiny_network
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dosplan_net.cache import (
+from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
+from dosplan_net.training.cache import (
     MIN_FUTURE,
     CacheError,
     WindowCache,
     build_cache,
     recorded_together,
 )
-from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 
 from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.simulation.loop import observe

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dosplan_net.batches import RawBatch, read_scenes
-from dosplan_net.cache import WindowCache
 from dosplan_net.features import HORIZON, NEIGHBOURS, PIECES
 from dosplan_net.network import (
     NetworkConfig,
@@ -19,6 +17,8 @@ from dosplan_net.network import (
     constant_velocity,
     step_seconds,
 )
+from dosplan_net.training.batches import RawBatch, read_scenes
+from dosplan_net.training.cache import WindowCache
 from torch import Tensor
 
 from tests.support.models import TINY, tiny_network

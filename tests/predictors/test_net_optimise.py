@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from dosplan_net.optimise import FitSettings, fit
+from dosplan_net.training.optimise import FitSettings, fit
 from torch import Tensor, nn
 
 SETTINGS = FitSettings(steps=24, learning_rate=0.05, validate_every=4, patience=100)

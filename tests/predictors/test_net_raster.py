@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 import torch
-from dosplan_net.batches import read_scenes
-from dosplan_net.cache import WindowCache
+from dosplan_net.build import MODEL, build_network, load_network
 from dosplan_net.features import PIECE_ATTRIBUTES, PIECE_POINTS
 from dosplan_net.network import DISTANCE_UNIT, NetworkConfig
 from dosplan_net.raster import CHANNELS, SIDE, PieceKeeper, RasterNetwork, draw
-from dosplan_net.training import MODEL, build_network, load_network
+from dosplan_net.training.batches import read_scenes
+from dosplan_net.training.cache import WindowCache
 from dosplan_net.weights import save_weights
 from torch import Tensor
 

@@ -9,18 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from dosplan_net.batches import read_scenes
-from dosplan_net.cache import WindowCache
+from dosplan_net.build import load_network
 from dosplan_net.features import HORIZON
 from dosplan_net.network import TrajectoryNetwork, constant_velocity
-from dosplan_net.optimise import FitSettings
-from dosplan_net.training import (
+from dosplan_net.training.batches import read_scenes
+from dosplan_net.training.cache import WindowCache
+from dosplan_net.training.optimise import FitSettings
+from dosplan_net.training.train import (
     NET,
     NetTraining,
     assign_folds,
     displacement,
     foretold,
-    load_network,
     stages,
     train_stage,
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from dosplan_dos.training import load_module
-from dosplan_net.training import load_network
+from dosplan_net.build import load_network
 from dosplan_net.weights import WeightsError, load_weights, save_weights
 from safetensors.torch import save_file
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from dosplan_dos.commands import _read as read_training
-from dosplan_net.training import NetTraining
+from dosplan_net.commands import read_training
+from dosplan_net.training.train import NetTraining
 
 from dosplan.cli.command import CommandError
 from dosplan.cli.main import main

@@ -12,8 +12,8 @@ from dosplan_dos.module import OccupancyModule, SetConfig
 from dosplan_dos.shapes import Variant
 from dosplan_dos.training import MODEL as SETS_MODEL
 from dosplan_dos.training import describe_config
+from dosplan_net.build import MODEL as NETWORK_MODEL
 from dosplan_net.network import NetworkConfig, TrajectoryNetwork
-from dosplan_net.training import MODEL as NETWORK_MODEL
 from dosplan_net.weights import save_weights
 from shapely import affinity
 

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from dosplan_net.batches import Selection
-from dosplan_net.cache import WindowCache
+from dosplan_net.build import load_network
 from dosplan_net.features import HORIZON
-from dosplan_net.training import load_network, run_over
+from dosplan_net.training.batches import Selection
+from dosplan_net.training.cache import WindowCache
+from dosplan_net.training.train import run_over
 from torch import Tensor
 
 

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from dosplan_net.batches import Selection, in_order
-from dosplan_net.cache import WindowCache
-from dosplan_net.training import load_network
+from dosplan_net.build import load_network
+from dosplan_net.training.batches import Selection, in_order
+from dosplan_net.training.cache import WindowCache
 
 _BATCHES = 120
 _ROAD_USERS = 30

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from dosplan.evaluation.groups import MOVING
-from dosplan_net.cache import WindowCache
 from dosplan_net.features import HISTORY
 from dosplan_net.network import Scene
+from dosplan_net.training.cache import WindowCache
 
 STARTING = 1.0  # m that one must move for a window of a standing road user to teach something.
 

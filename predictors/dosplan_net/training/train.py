@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -19,20 +18,22 @@ import torch
 from torch import Tensor
 
 from dosplan.system.files import atomic_file
-from dosplan_net.batches import RawBatch, Selection, forgetful, in_order, mirrored, read_scenes
-from dosplan_net.cache import WindowCache
+from dosplan_net.build import MODEL, build_network, load_network
 from dosplan_net.features import HORIZON
 from dosplan_net.network import NetworkConfig, TrajectoryNetwork
-from dosplan_net.optimise import FitSettings, fit
-from dosplan_net.raster import RasterNetwork
-from dosplan_net.weights import WeightsError, load_model, load_weights, save_weights
+from dosplan_net.training.batches import (
+    RawBatch,
+    Selection,
+    forgetful,
+    in_order,
+    mirrored,
+    read_scenes,
+)
+from dosplan_net.training.cache import WindowCache
+from dosplan_net.training.optimise import FitSettings, fit
+from dosplan_net.weights import WeightsError, load_weights, save_weights
 
-MODEL = "trajectory-network"
 NET = "net"
-_NETWORKS: Final[dict[str, type[TrajectoryNetwork]]] = {
-    "polylines": TrajectoryNetwork,
-    "raster": RasterNetwork,
-}
 
 
 @dataclass(frozen=True)
@@ -188,33 +189,6 @@ def _foretold(
     with atomic_file(kept) as file:
         np.save(file, answer)
     return answer
-
-
-def load_network(path: Path) -> TrajectoryNetwork:
-    """Builds a network from its weights.
-
-    Args:
-        path: The weights.
-
-    Returns:
-        The network, ready to be used.
-
-    Raises:
-        WeightsError: The file is not such weights.
-    """
-    return load_model(path, MODEL, lambda about: build_network(NetworkConfig(**about["network"])))
-
-
-def build_network(config: NetworkConfig) -> TrajectoryNetwork:
-    """Builds an untrained network.
-
-    Args:
-        config: Its sizes and its map encoder.
-
-    Returns:
-        The network.
-    """
-    return _NETWORKS[config.map_encoder](config)
 
 
 def run_over(

@@ -22,7 +22,7 @@ test-all: $(VENV)/.dev
 
 suite-check: $(VENV)/.dev
 	$(PIP) --editable ".[suite]"
-	$(BIN)/python -m pytest tests/scenario/test_suite_files.py tests/oracle/test_suite_*.py
+	$(BIN)/python -m pytest tests/suite
 
 bench: $(VENV)/.dev
 	$(PIP) --editable ".[onnx]"

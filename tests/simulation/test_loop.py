@@ -240,7 +240,7 @@ def test_a_planner_that_raises_ends_the_episode_and_keeps_what_was_driven() -> N
     assert len(episode.inputs) == len(episode.plans) == len(episode.occupancies) == 3
     assert episode.error is not None
     assert episode.error.startswith("planner raising-v1: RuntimeError: no way out (")
-    assert "(test_simulation.py:" in episode.error
+    assert "(test_loop.py:" in episode.error
     assert "\n" not in episode.error
 
 
@@ -264,7 +264,7 @@ def test_a_plugin_that_exits_is_blamed_at_its_own_line_and_its_traceback_is_hand
     )
     assert episode.end is EpisodeEnd.PLANNER_FAILURE
     line = _ExitingPlanner.compute_plan.__code__.co_firstlineno + 1
-    assert episode.error == f"planner exiting-v1: SystemExit: 2 (test_simulation.py:{line})"
+    assert episode.error == f"planner exiting-v1: SystemExit: 2 (test_loop.py:{line})"
     (error,) = caught
     assert isinstance(error, SystemExit)
     assert "argparse.py" in "".join(traceback.format_exception(error))

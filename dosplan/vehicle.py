@@ -100,8 +100,37 @@ class VehicleParameters:
         y = centre[1] - self.rear_to_centre * np.sin(heading)
         return np.array([x, y, steering, velocity, heading], dtype=np.float64)
 
-    def clip_input(self, state: FloatArray, u: FloatArray, dt: float) -> FloatArray:
-        """The input the actuators can deliver, nearest to the one that is asked for.
+    @property
+    def engine_power(self) -> float:
+        """Power of the engine by the ego's mass, m2/s3."""
+        return self.max_acceleration * self.switching_velocity
+
+    def engine_acceleration(self, velocity: FloatArray) -> FloatArray:
+        """Largest acceleration that the engine is good for.
+
+        Args:
+            velocity: (...) m/s.
+
+        Returns:
+            (...) m/s2: ``max_acceleration``, above ``switching_velocity`` what its power allows.
+        """
+        share = self.switching_velocity / np.maximum(self.switching_velocity, velocity)
+        return self.max_acceleration * share
+
+    def lateral_acceleration(self, velocity: FloatArray, steering: FloatArray) -> FloatArray:
+        """Lateral acceleration of the rear axle.
+
+        Args:
+            velocity: (...) m/s.
+            steering: (...) rad.
+
+        Returns:
+            (...) m/s2, ``v^2 tan(delta) / l_wb``, left positive.
+        """
+        return velocity**2 * np.tan(steering) / self.wheelbase
+
+    def clip_input(self, states: FloatArray, inputs: FloatArray, dt: float) -> FloatArray:
+        """The inputs the actuators can deliver, nearest to those that are asked for.
 
         Cornering comes first: at the step's end the wheels are turned no further than their stop,
         and no further than the grip allows at the present velocity,
@@ -112,30 +141,36 @@ class VehicleParameters:
         too fast for the bend.
 
         Args:
-            state: (5,) ego state.
-            u: (2,) steering rate, rad/s, and acceleration, m/s2.
-            dt: Time for which the input is held, s.
+            states: (..., 5) ego states.
+            inputs: (..., 2) steering rate, rad/s, and acceleration, m/s2.
+            dt: Time for which an input is held, s.
 
         Returns:
-            (2,) input.
+            (..., 2) inputs; many at once are those of one by one to the last bit.
         """
-        steering, velocity = state[EGO_STEERING], state[EGO_VELOCITY]
-        gripping = np.arctan2(self.max_acceleration * self.wheelbase, velocity**2)
-        turned = min(self.max_steering, gripping)
-        rate = np.clip(u[0], (-turned - steering) / dt, (turned - steering) / dt)
-        rate = np.clip(rate, -self.max_steering_rate, self.max_steering_rate)
+        # [()] makes a single state's values plain numbers, which are quicker than arrays of one.
+        steering, velocity = states[..., EGO_STEERING][()], states[..., EGO_VELOCITY][()]
+        # velocity**2 would round a single number and an array differently.
+        squared = np.float_power(velocity, 2.0)
+        gripping = np.arctan2(self.max_acceleration * self.wheelbase, squared)
+        furthest = np.minimum(self.max_steering, gripping)
+        rate = _clip(inputs[..., 0][()], (-furthest - steering) / dt, (furthest - steering) / dt)
+        rate = _clip(rate, -self.max_steering_rate, self.max_steering_rate)
 
-        curvature = np.tan(max(abs(steering), abs(steering + rate * dt))) / self.wheelbase
-        left = np.sqrt(max(self.max_acceleration**2 - (velocity**2 * curvature) ** 2, 0.0))
-        fastest = np.sqrt(self.max_acceleration / max(curvature, _STRAIGHT))
-        engine = self.max_acceleration * (
-            self.switching_velocity / max(velocity, self.switching_velocity)
+        turned = np.maximum(abs(steering), abs(steering + rate * dt))
+        curvature = np.tan(turned) / self.wheelbase
+        left = self.max_acceleration**2 - np.float_power(squared * curvature, 2.0)
+        left = np.sqrt(np.maximum(0.0, left))
+        fastest = np.sqrt(self.max_acceleration / np.maximum(_STRAIGHT, curvature))
+        bend = np.maximum(0.0, fastest - velocity) / dt
+        upper = np.minimum(np.minimum(left, self.engine_acceleration(velocity)), bend)
+        acceleration = _clip(
+            inputs[..., 1][()], -velocity / dt, (self.max_velocity - velocity) / dt
         )
-        acceleration = np.clip(u[1], -velocity / dt, (self.max_velocity - velocity) / dt)
-        acceleration = np.clip(
-            acceleration, -left, min(left, engine, max(fastest - velocity, 0.0) / dt)
-        )
-        return np.array([rate, acceleration], dtype=np.float64)
+        acceleration = _clip(acceleration, -left, upper)
+        out = np.empty((*acceleration.shape, 2))
+        out[..., 0], out[..., 1] = rate, acceleration
+        return out
 
     def derivative(self, states: FloatArray, inputs: FloatArray) -> FloatArray:
         """Right-hand side of the kinematic single track.
@@ -172,3 +207,8 @@ class VehicleParameters:
         k3 = self.derivative(states + 0.5 * dt * k2, inputs)
         k4 = self.derivative(states + dt * k3, inputs)
         return np.asarray(states + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+
+
+def _clip(value: FloatArray, lower: FloatArray | float, upper: FloatArray | float) -> FloatArray:
+    """``np.clip``, which takes twice as long for a single number."""
+    return np.minimum(upper, np.maximum(lower, value))

@@ -199,3 +199,52 @@ def test_many_states_at_once_are_one_by_one() -> None:
     many, u = rng.uniform(-1.0, 1.0, (6, 5)), rng.uniform(-1.0, 1.0, (6, 2))
     one = np.stack([VEHICLE.step(x, w, 0.1) for x, w in zip(many, u, strict=True)])
     np.testing.assert_array_equal(VEHICLE.step(many, u, 0.1), one)
+
+
+def limits_one_by_one(state: FloatArray, u: FloatArray, dt: float) -> list[float]:
+    """The limits of one state in plain Python, as the docstring of ``clip_input`` has them."""
+    steering, velocity = float(state[EGO_STEERING]), float(state[EGO_VELOCITY])
+    grip = VEHICLE.max_acceleration
+    turned = min(VEHICLE.max_steering, math.atan2(grip * VEHICLE.wheelbase, velocity**2))
+    rate = min(max(u[0], (-turned - steering) / dt), (turned - steering) / dt)
+    rate = min(max(rate, -VEHICLE.max_steering_rate), VEHICLE.max_steering_rate)
+    curvature = math.tan(max(abs(steering), abs(steering + rate * dt))) / VEHICLE.wheelbase
+    left = math.sqrt(max(grip**2 - (velocity**2 * curvature) ** 2, 0.0))
+    engine = grip * VEHICLE.switching_velocity / max(velocity, VEHICLE.switching_velocity)
+    bend = max(math.sqrt(grip / max(curvature, 1e-9)) - velocity, 0.0) / dt
+    acceleration = min(max(u[1], -velocity / dt), (VEHICLE.max_velocity - velocity) / dt)
+    return [rate, min(max(acceleration, -left), left, engine, bend)]
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), dt=st.sampled_from([0.05, 0.1, 0.2]))
+def test_many_inputs_are_limited_as_one_by_one(seed: int, dt: float) -> None:
+    """To the last bit: what is sampled with many at once is driven with one."""
+    rng = np.random.default_rng(seed)
+    many = rng.uniform([-9, -9, -1.1, 0, -4], [9, 9, 1.1, 50.8, 4], (4, 7, 5))
+    many[..., EGO_STEERING] *= rng.choice([0.0, 0.05, 1.0], (4, 7))
+    many[..., EGO_VELOCITY] *= rng.choice([0.0, 0.1, 1.0], (4, 7))
+    u = rng.uniform([-1, -20], [1, 20], (4, 7, 2)) * rng.choice([0.0, 0.2, 1.0], (4, 7, 1))
+    limited = VEHICLE.clip_input(many, u, dt)
+    assert limited.shape == u.shape
+    for place in np.ndindex(4, 7):
+        one = VEHICLE.clip_input(many[place], u[place], dt)
+        assert one.tobytes() == limited[place].tobytes()
+        np.testing.assert_allclose(
+            one, limits_one_by_one(many[place], u[place], dt), rtol=1e-12, atol=1e-9
+        )
+    # One input for many states, and many inputs for one state.
+    np.testing.assert_array_equal(
+        VEHICLE.clip_input(many, u[0, 0], dt)[1, 2], VEHICLE.clip_input(many[1, 2], u[0, 0], dt)
+    )
+    np.testing.assert_array_equal(
+        VEHICLE.clip_input(many[0, 0], u, dt)[1, 2], VEHICLE.clip_input(many[0, 0], u[1, 2], dt)
+    )
+
+
+@given(state=states)
+def test_lateral_acceleration_and_engine_are_their_formulas(state: FloatArray) -> None:
+    velocity, steering = state[EGO_VELOCITY], state[EGO_STEERING]
+    assert VEHICLE.lateral_acceleration(velocity, steering) == pytest.approx(lateral(state))
+    at_power = VEHICLE.engine_power / max(velocity, VEHICLE.switching_velocity)
+    assert VEHICLE.engine_acceleration(velocity) == pytest.approx(at_power)

@@ -19,7 +19,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -119,7 +119,7 @@ def main() -> None:
         "engines": measure_engines(shipped_weights(), shipped_sets(DEFAULT_SETS)),
         "compiled": measure_compiled(),
         "startup_ms": {**measure_startup(), "load_scenario": spread(loads)},
-        "environment": describe_environment(),
+        "environment": asdict(describe_environment()),
     }
     show(figures)
     if options.json is not None:

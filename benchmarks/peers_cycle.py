@@ -19,6 +19,7 @@ import argparse
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -83,7 +84,7 @@ def main() -> None:
             for measure in MEASURES
             for name in (*peers, AGAIN)
         },
-        "environment": describe_environment(),
+        "environment": asdict(describe_environment()),
     }
     _show(figures)
     if options.json is not None:

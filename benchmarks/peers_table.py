@@ -8,14 +8,16 @@ velocity gives, and the recorded future as the upper bound. The runs themselves 
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
 from dosplan.cli.arguments import console
 from dosplan.report.progress import show_run
 from dosplan.report.tables import markdown
+from dosplan.results.summary import read_summary
 from dosplan.running.run import RunConfig, run
-from dosplan.system.files import read_json, write_json, write_text
+from dosplan.system.files import write_json, write_text
 from dosplan.system.provenance import describe_environment
 from dosplan.types import Arm
 from tests.support.peers import is_missing
@@ -68,16 +70,16 @@ def main() -> None:
                 cache=True,
             )
             with show_run(console(stderr=True)) as observer:
-                summary = read_json(run(config, observer).summary)
+                summary = read_summary(run(config, observer))
             rows += [
-                {"planner": planner, "predictor": predictor, "arm": arm.value} | summary[arm.value]
-                for arm in arms
+                {"planner": planner, "predictor": predictor, "arm": arm.value} | asdict(figures)
+                for arm, figures in summary.arms.items()
             ]
     table = markdown(
         ["Planner", "Predictor", "Arm", *SHARES, *DECIMALS, "n"],
         [_cells(row) for row in rows],
     )
-    figures = {"rows": rows, "environment": describe_environment()}
+    figures = {"rows": rows, "environment": asdict(describe_environment())}
     RESULTS.mkdir(exist_ok=True)
     write_json(RESULTS / f"{options.name}.json", figures)
     write_text(RESULTS / f"{options.name}.md", table + "\n")

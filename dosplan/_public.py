@@ -16,15 +16,17 @@ from dosplan.api import Planner, Predictor
 from dosplan.plugins.registry import RegistryError, create_planner, create_predictor
 from dosplan.results.comparison import Comparison, compare_runs
 from dosplan.results.dataframes import to_pandas, to_polars
-from dosplan.results.folder import RunFolder, read_run
+from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import RunManifest
 from dosplan.results.recording import Recording, load_recording
+from dosplan.results.rows import read_run
+from dosplan.results.summary import Summary, read_summary
 from dosplan.running.config import RunConfig, default_folder
 from dosplan.running.progress import Progress, ProgressObserver
 from dosplan.running.run import run
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import SimulationConfig
 from dosplan.simulation.loop import run_episode as simulate
-from dosplan.system.files import read_json
 from dosplan.types import Arm, Episode, Scenario, Score
 from dosplan.vehicle import VehicleParameters
 
@@ -57,18 +59,17 @@ class Results:
     """
 
     path: Path
-    manifest: dict[str, Any]
+    manifest: RunManifest
     rows: tuple[Score, ...]
 
     @property
-    def summary(self) -> dict[str, Any]:
-        """Content of ``summary.json``: the figures of each arm, by its name.
+    def summary(self) -> Summary:
+        """Content of ``summary.json``: the figures of each arm, and their comparison.
 
         Raises:
             FileError: It cannot be read.
         """
-        found: dict[str, Any] = read_json(RunFolder(self.path).summary)
-        return found
+        return read_summary(RunFolder(self.path))
 
     def recording(self, scenario: str, arm: Arm | str) -> Recording:
         """Reads what was driven, planned and predicted in an episode.

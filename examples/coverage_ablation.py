@@ -13,8 +13,8 @@ if __name__ == "__main__":
             limit=2,  # For a figure that means something: leave this out, and the planner too.
             out=f"runs/coverage-{coverage}",
         )
-        arm = results.summary["with_dos"]
+        arm = results.summary.arms[dosplan.Arm.WITH_DOS]
         print(
-            f"{coverage:8.2f}  {arm['success_rate']:7.1%}  {arm['collision_rate']:9.1%}"
-            f"  {arm['velocity']:4.1f} m/s  {arm['cycle_ms_p50']:9.1f} ms"
+            f"{coverage:8.2f}  {arm.success_rate:7.1%}  {arm.collision_rate:9.1%}"
+            f"  {arm.velocity:4.1f} m/s  {arm.cycle_ms_p50:9.1f} ms"
         )

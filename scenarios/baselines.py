@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from dosplan.results.folder import read_rows
+from dosplan.results.rows import read_rows
 from dosplan.running.run import RunConfig, run
 from dosplan.types import Arm, Outcome
 

@@ -70,11 +70,11 @@ class RunCommand:
         """
         from dosplan.report.progress import show_run
         from dosplan.report.tables import error_lines, summary_tables
-        from dosplan.results.folder import read_rows
+        from dosplan.results.rows import read_rows
+        from dosplan.results.summary import read_summary
         from dosplan.running.config import default_folder
         from dosplan.running.progress import Observer
         from dosplan.running.run import RunConfig, run
-        from dosplan.system.files import read_json
         from dosplan.types import Arm
 
         config = RunConfig(
@@ -104,12 +104,16 @@ class RunCommand:
             hint = f"the same command with --out {shlex.quote(str(config.out))} resumes"
             print(f"dosplan: interrupted; {hint}", file=sys.stderr)
             return INTERRUPTED
-        summary = read_json(folder.summary)
+        summary = read_summary(folder)
         report = _report_line(folder.path)
-        show([summary_tables(summary), f"results in {folder.path}", report], summary, options.json)
+        show(
+            [summary_tables(summary), f"results in {folder.path}", report],
+            summary.content,
+            options.json,
+        )
         for line in error_lines(read_rows(folder.rows)):
             print(line, file=sys.stderr)
-        failures = any(summary[arm.value]["planner_failure_rate"] > 0 for arm in config.arms)
+        failures = any(arm.planner_failure_rate > 0 for arm in summary.arms.values())
         return FAILED if failures else OK
 
 

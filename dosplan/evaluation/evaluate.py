@@ -124,7 +124,7 @@ def evaluate(
                 {**asdict(method), "name": name}
                 for method, name in zip(config.methods, names, strict=True)
             ],
-            **describe_environment(),
+            **asdict(describe_environment()),
         },
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
 
 from rich import box
@@ -10,6 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 from dosplan.results.comparison import Comparison, Difference
+from dosplan.results.summary import Summary
 from dosplan.types import Arm, Score
 
 ERRORS_SHOWN: Final = 10
@@ -56,11 +57,11 @@ _RIDE: Final[Sequence[Column]] = (
 )
 
 
-def summary_tables(summary: Mapping[str, Any]) -> RenderableType:
+def summary_tables(summary: Summary) -> RenderableType:
     """Lays a summary out for the terminal.
 
     Args:
-        summary: Content of ``summary.json``.
+        summary: The summary of a run.
 
     Returns:
         The paper's columns, the further ones, and a line on the paired difference where both
@@ -70,11 +71,11 @@ def summary_tables(summary: Mapping[str, Any]) -> RenderableType:
     return Group(_title(summary), *tables, *_difference_lines(summary))
 
 
-def summary_markdown(summary: Mapping[str, Any]) -> str:
+def summary_markdown(summary: Summary) -> str:
     """Writes a summary as Markdown.
 
     Args:
-        summary: Content of ``summary.json``.
+        summary: The summary of a run.
 
     Returns:
         The text of ``summary.md``.
@@ -174,37 +175,37 @@ def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (headings, rule, *rows))
 
 
-def _cells(
-    summary: Mapping[str, Any], columns: Sequence[Column]
-) -> tuple[list[str], list[list[str]]]:
+def _cells(summary: Summary, columns: Sequence[Column]) -> tuple[list[str], list[list[str]]]:
     rows = [
-        [title, *(form(summary[arm.value][key]) for _, key, form in columns)]
-        for arm, title in ARM_TITLES.items()
-        if arm.value in summary
+        [ARM_TITLES[arm], *(form(getattr(figures, key)) for _, key, form in columns)]
+        for arm, figures in summary.arms.items()
     ]
     return ["Arm", *(heading for heading, _, _ in columns)], rows
 
 
-def _title(summary: Mapping[str, Any]) -> str:
-    run = summary["run"]
-    mark = "" if run["ranked"] else " (unranked: the predictor may see the future)"
+def _title(summary: Summary) -> str:
+    run = summary.run
+    mark = "" if run.ranked else " (unranked: the predictor may see the future)"
     options = (
         f"{plugin}.{name}={value}"
-        for plugin in ("planner", "predictor")
-        for name, value in run[f"{plugin}_options"].items()
+        for plugin, chosen in (
+            ("planner", run.planner_options),
+            ("predictor", run.predictor_options),
+        )
+        for name, value in chosen.items()
     )
-    told = ", ".join([f"seed {run['seed']}", *options])
-    return f"{run['planner']} with {run['predictor']} on {run['source']}, {told}{mark}"
+    told = ", ".join([f"seed {run.seed}", *options])
+    return f"{run.planner} with {run.predictor} on {run.source}, {told}{mark}"
 
 
-def _difference_lines(summary: Mapping[str, Any]) -> list[str]:
-    if "comparison" not in summary:
+def _difference_lines(summary: Summary) -> list[str]:
+    if summary.comparison is None:
         return []
-    success = summary["comparison"]["success"]
+    success = summary.comparison.success
     return [
-        f"Success, with DOS minus without: {100.0 * success['difference']:+.1f} points "
-        f"(95 % interval {100.0 * success['low']:+.1f} to {100.0 * success['high']:+.1f}; "
-        f"McNemar p = {success['p']:.3g}, n = {summary['comparison']['n']})"
+        f"Success, with DOS minus without: {100.0 * success.difference:+.1f} points "
+        f"(95 % interval {100.0 * success.low:+.1f} to {100.0 * success.high:+.1f}; "
+        f"McNemar p = {success.p:.3g}, n = {summary.comparison.n})"
     ]
 
 

@@ -15,8 +15,8 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.results.folder import read_run
 from dosplan.results.intervals import mean_interval
+from dosplan.results.rows import read_run
 from dosplan.system.errors import DosplanError
 from dosplan.types import Arm, FloatArray, Outcome, Score
 

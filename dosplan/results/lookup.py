@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from dosplan.results.folder import RunFolder, read_manifest, read_rows
+from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import RunManifest, read_manifest
 from dosplan.results.recording import Recording, load_recording
+from dosplan.results.rows import read_rows
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
 from dosplan.system.errors import did_you_mean
 from dosplan.system.files import FileError
@@ -28,7 +29,7 @@ class RecordedScenario:
     """
 
     folder: RunFolder
-    manifest: dict[str, Any]
+    manifest: RunManifest
     rows: tuple[Score, ...]
     recordings: tuple[Recording | None, ...]
     scenario: Scenario | None
@@ -52,12 +53,10 @@ def find_recorded(
         FileError: The folder holds no such episode, or its scenario cannot be found or read.
     """
     folder = RunFolder(path)
-    if not folder.manifest.is_file():
-        raise FileError(f"{path} is not a run folder: it has no run.json")
     manifest = read_manifest(folder)
-    if scenario not in manifest["scenarios"]:
+    if scenario not in manifest.scenarios:
         raise FileError(
-            f"{path} holds no scenario {scenario}{did_you_mean(scenario, manifest['scenarios'], 3)}"
+            f"{path} holds no scenario {scenario}{did_you_mean(scenario, manifest.scenarios, 3)}"
         )
     rows = [row for row in read_rows(folder.rows) if row.scenario == scenario and row.arm in arms]
     if not rows:
@@ -65,7 +64,7 @@ def find_recorded(
     recordings = [_recording(folder, row) for row in rows]
     loaded: Scenario | None = None
     if any(recording is not None for recording in recordings):
-        place = source or str(manifest["config"].get("source", ""))
+        place = source or manifest.config.source
         try:
             loaded = load_scenario(find_scenario(scenario, place))
         except ScenarioError as error:

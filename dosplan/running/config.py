@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields
 from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+from dosplan.results.manifest import RunSettings
 from dosplan.system.errors import DosplanError
-from dosplan.types import Arm
 
 FREE: Final = ("workers", "source", "cluster", "cache", "solutions")
 """Settings in which two invocations of one run may differ: they do not reach a row. (The source
@@ -22,49 +22,20 @@ class RunError(DosplanError, ValueError):
     """A run that cannot start or go on; the message is one line."""
 
 
-@dataclass(frozen=True)
-class RunConfig:
-    """What a run is; two runs of one configuration have the same rows but for their timings.
+@dataclass(frozen=True, kw_only=True)
+class RunConfig(RunSettings):
+    """A run: its settings, and where it goes.
 
     Attributes:
         out: The run folder.
-        source: Where the scenarios are, as ``dosplan.scenario.find_scenarios`` takes it.
-        planner: Planner, as ``dosplan.plugins.registry`` finds it.
-        predictor: Predictor, likewise.
-        planner_options: Keyword arguments of the planner's constructor besides the seed: what
-            JSON can hold.
-        predictor_options: Those of the predictor's.
-        arms: Arms to drive.
-        workers: Number of worker processes on this machine.
-        limit: Number of scenarios to drive, the first ones; None drives all.
-        seed: Seed of everything random.
-        replan_every: Steps driven from each plan.
-        episode_timeout: Seconds after which an episode counts as hung; the making of the
-            planner, where a worker has none yet, is within them.
-        memory_limit: Resident memory at which a worker process is ended, MB (10^6 bytes).
-        ranked: Whether the run keeps the rules: a predictor that sees the future is refused.
-        cluster: Dask scheduler (``tcp://host:port``) or ``local:N``; None drives on this machine.
-        cache: Whether parsed scenarios are kept for the next run (``dosplan.scenario.cache``).
-        solutions: Whether the run folder gets CommonRoad solutions (``dosplan.results.solutions``).
     """
 
     out: Path
-    source: str = "suite"
-    planner: str = "mpc"
-    predictor: str = "dos"
-    planner_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    predictor_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    arms: tuple[Arm, ...] = tuple(Arm)
-    workers: int = 1
-    limit: int | None = None
-    seed: int = 0
-    replan_every: int = 1
-    episode_timeout: float = 600.0
-    memory_limit: int = 4000
-    ranked: bool = True
-    cluster: str | None = None
-    cache: bool = False
-    solutions: bool = False
+
+    @property
+    def settings(self) -> RunSettings:
+        """What ``run.json`` says of the run; its folder is where that file is."""
+        return RunSettings(**{f.name: getattr(self, f.name) for f in fields(RunSettings)})
 
     def __post_init__(self) -> None:
         if not self.arms or len(set(self.arms)) != len(self.arms):

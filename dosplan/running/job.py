@@ -17,8 +17,8 @@ from functools import lru_cache
 
 from dosplan.api import Planner, Predictor
 from dosplan.plugins.registry import create_planner, create_predictor
-from dosplan.results.folder import row_line
 from dosplan.results.recording import pack_recording
+from dosplan.results.rows import row_line
 from dosplan.running.config import RunConfig
 from dosplan.scenario import ScenarioRef, load_scenario
 from dosplan.scoring.score import failed_score, score

@@ -11,7 +11,6 @@ from __future__ import annotations
 import fcntl
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import asdict
 from datetime import UTC, datetime
 from itertools import product
 from typing import Any, Final
@@ -19,23 +18,17 @@ from typing import Any, Final
 from dosplan.api import OraclePredictor
 from dosplan.plugins.registry import find_planner, find_predictor, source_files
 from dosplan.report.tables import summary_markdown
-from dosplan.results.comparison import compare_rows
-from dosplan.results.folder import (
-    RunFolder,
-    append_row,
-    pooled_cycle_ms,
-    read_manifest,
-    read_rows,
-    summarise,
-    write_rows,
-)
+from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import RunManifest, read_manifest, write_manifest
+from dosplan.results.rows import append_row, read_rows, write_rows
 from dosplan.results.solutions import write_solutions
+from dosplan.results.summary import summarise_run, write_summary
 from dosplan.running.config import FREE, RunConfig, RunError
 from dosplan.running.executor import Executor, LocalExecutor, Task
 from dosplan.running.job import EpisodeResult
 from dosplan.running.progress import Observer
 from dosplan.scenario import ScenarioRef, find_scenarios
-from dosplan.system.files import remove_half_written, write_bytes, write_json, write_text
+from dosplan.system.files import remove_half_written, write_bytes, write_text
 from dosplan.system.provenance import content_digest, describe_environment
 from dosplan.types import Arm, Score
 
@@ -61,9 +54,8 @@ def run(config: RunConfig, observer: Observer = Observer()) -> RunFolder:  # noq
         FileError: A result cannot be written.
     """
     refs = find_scenarios(config.source)[: config.limit]
-    manifest = _manifest(config, refs)
     folder = RunFolder(config.out)
-    manifest = _open_folder(folder, manifest)
+    manifest = _open_folder(folder, _manifest(config, refs))
     tasks = list(product(refs, config.arms))
     with _held(folder):
         kept, left = _unfinished(folder, tasks)
@@ -73,8 +65,8 @@ def run(config: RunConfig, observer: Observer = Observer()) -> RunFolder:  # noq
         by_task = {(row.scenario, row.arm): row for row in read_rows(folder.rows)}
         rows = [by_task[ref.id, arm] for ref, arm in tasks]
         write_rows(folder.rows, rows)
-        summary = _summary(folder, manifest, rows)
-        write_json(folder.summary, summary)
+        summary = summarise_run(folder, manifest, rows)
+        write_summary(folder, summary)
         write_text(folder.summary_text, summary_markdown(summary))
         if config.solutions:
             write_solutions(folder, refs, config.arms)
@@ -139,8 +131,8 @@ def _held(folder: RunFolder) -> Iterator[None]:
         yield
 
 
-def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> dict[str, Any]:
-    """Checks the plug-ins and describes the run: the content of ``run.json``."""
+def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
+    """Checks the plug-ins and describes the run."""
     planner = find_planner(config.planner, config.planner_options)
     predictor = find_predictor(config.predictor, config.predictor_options)
     if config.ranked and issubclass(predictor, OraclePredictor):
@@ -148,25 +140,26 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> dict[str, Any]:
             f"predictor {predictor.name} is shown the future, so a ranked run refuses it; "
             "--unranked allows it and marks the results"
         )
-    settings = {**asdict(config), "arms": list(config.arms)}
-    del settings["out"]  # The folder is where the file is.
-    return {
-        "config": settings,
-        "planner": planner.name,
-        "predictor": predictor.name,
-        "scenarios": [ref.id for ref in refs],
-        "digests": {
+    environment = describe_environment()
+    return RunManifest(
+        config=config.settings,
+        planner=planner.name,
+        predictor=predictor.name,
+        scenarios=tuple(ref.id for ref in refs),
+        digests={
             "planner file": content_digest(source_files(config.planner)),
             "predictor file": content_digest(source_files(config.predictor)),
             "weights": content_digest(predictor.weight_files()),
             "scenario files": content_digest(ref.path for ref in refs),
         },
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        **describe_environment(),
-    }
+        started=datetime.now(UTC).isoformat(timespec="seconds"),
+        versions=environment.versions,
+        git_revision=environment.git_revision,
+        machine=environment.machine,
+    )
 
 
-def _open_folder(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
+def _open_folder(folder: RunFolder, manifest: RunManifest) -> RunManifest:
     """Makes the run folder, or checks that the one that is there holds the same run.
 
     Returns:
@@ -181,7 +174,7 @@ def _open_folder(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
     if folder.manifest.exists():
         old = read_manifest(folder)
         there, here = _identity(old), _identity(manifest)
-        odd = next((key for key in here if there.get(key) != here[key]), None)
+        odd = next((key for key in here if there[key] != here[key]), None)
         if odd is not None:
             raise RunError(
                 f"{folder.path} holds a run with another {odd}; nothing was changed. "
@@ -191,45 +184,17 @@ def _open_folder(folder: RunFolder, manifest: dict[str, Any]) -> dict[str, Any]:
     remove_half_written(folder.path, folder.manifest.name)
     if folder.path.is_dir() and any(folder.path.iterdir()):
         raise RunError(f"{folder.path} is not empty and holds no run; choose another --out")
-    write_json(folder.manifest, manifest)
+    write_manifest(folder, manifest)
     return manifest
 
 
-def _identity(manifest: dict[str, Any]) -> dict[str, Any]:
+def _identity(manifest: RunManifest) -> dict[str, Any]:
     """What must agree for two invocations to be one run."""
-    settings = {key: value for key, value in manifest["config"].items() if key not in FREE}
-    plugins = {f"{key} version": manifest[key] for key in ("planner", "predictor")}
     return {
-        **settings,
-        **plugins,
-        "dosplan version": manifest["versions"].get("dosplan"),
-        "list of scenarios": manifest["scenarios"],
-        "content of its planner, predictor, weight or scenario files": manifest.get("digests"),
+        **{key: value for key, value in vars(manifest.config).items() if key not in FREE},
+        "planner version": manifest.planner,
+        "predictor version": manifest.predictor,
+        "dosplan version": manifest.versions.get("dosplan"),
+        "list of scenarios": manifest.scenarios,
+        "content of its planner, predictor, weight or scenario files": manifest.digests,
     }
-
-
-def _summary(folder: RunFolder, manifest: dict[str, Any], rows: Sequence[Score]) -> dict[str, Any]:
-    """Content of ``summary.json``: the figures of each arm, and the run they belong to."""
-    arms = [Arm(arm) for arm in manifest["config"]["arms"]]
-    times = {arm: pooled_cycle_ms(folder, rows, arm) for arm in arms}
-    figures = summarise(rows, len(manifest["scenarios"]), times)
-    summary: dict[str, Any] = {arm.value: figures[arm] for arm in arms}
-    summary["run"] = {
-        "source": manifest["config"]["source"],
-        "planner": manifest["planner"],
-        "predictor": manifest["predictor"],
-        "planner_options": manifest["config"]["planner_options"],
-        "predictor_options": manifest["config"]["predictor_options"],
-        "seed": manifest["config"]["seed"],
-        "ranked": manifest["config"]["ranked"],
-    }
-    if len(arms) == len(Arm):
-        by_arm = {arm: [row for row in rows if row.arm is arm] for arm in Arm}
-        comparison = compare_rows(
-            by_arm[Arm.WITHOUT_DOS],
-            by_arm[Arm.WITH_DOS],
-            Arm.WITHOUT_DOS.value,
-            Arm.WITH_DOS.value,
-        )
-        summary["comparison"] = asdict(comparison)
-    return summary

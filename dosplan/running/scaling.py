@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -20,8 +20,9 @@ import psutil
 from rich.console import RenderableType
 
 from dosplan.report.tables import table
-from dosplan.results.folder import RunFolder, append_row, read_rows
+from dosplan.results.folder import RunFolder
 from dosplan.results.recording import load_cycle_ms
+from dosplan.results.rows import append_row, read_rows
 from dosplan.running.job import drive_episode
 from dosplan.running.process import EpisodeProcess
 from dosplan.running.progress import ProgressObserver
@@ -119,7 +120,7 @@ def measure_scale(
         "parts": parts,
         "tiny": tiny,
         "million": _project(drives["1"], tiny, parts),
-        "environment": describe_environment(),
+        "environment": asdict(describe_environment()),
     }
 
 

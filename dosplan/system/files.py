@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -135,6 +136,22 @@ def json_text(value: Any) -> str:
     return json.dumps(value, indent=2, allow_nan=False) + "\n"
 
 
+def parse_json(text: str | bytes) -> Any:
+    """Reads the text of a JSON file.
+
+    Args:
+        text: The text.
+
+    Returns:
+        Its value.
+
+    Raises:
+        ValueError: It is not JSON, or holds NaN, infinity, or a float that is too large.
+        RecursionError: It is nested too deeply.
+    """
+    return json.loads(text, parse_float=_finite, parse_constant=_finite)
+
+
 def read_json(path: Path) -> Any:
     """Reads a JSON file.
 
@@ -148,10 +165,17 @@ def read_json(path: Path) -> Any:
         FileError: It is missing, cannot be read or is not JSON.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return parse_json(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise FileError(f"{path} is missing") from None
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:
         raise FileError(f"{path} is not JSON: {error}") from None
+
+
+def _finite(text: str) -> float:
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text:.20} is not a finite number")
+    return number

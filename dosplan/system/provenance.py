@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from hashlib import file_digest, sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from dosplan import __version__
 
@@ -26,27 +27,54 @@ _PACKAGES: Final = (
 )
 
 
-def describe_environment() -> dict[str, Any]:
+@dataclass(frozen=True)
+class Machine:
+    """A machine that figures come from.
+
+    Attributes:
+        platform: Its operating system.
+        machine: Its processor's architecture.
+        cpu_count: Number of its CPUs; null where it is not known.
+    """
+
+    platform: str
+    machine: str
+    cpu_count: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Environment:
+    """What figures are made with.
+
+    Attributes:
+        versions: Versions of Python, dosplan and the packages that decide figures.
+        git_revision: Commit of dosplan's own source, with ``-dirty`` where it was changed; None
+            where it does not run from a checkout.
+        machine: The machine.
+    """
+
+    versions: Mapping[str, str]
+    git_revision: str | None
+    machine: Machine
+
+
+def describe_environment() -> Environment:
     """Describes what a run is made with.
 
     Returns:
-        ``versions`` of Python, dosplan and the packages that decide figures, ``git_revision`` of
-        dosplan's own source (None where it does not run from a checkout; ``-dirty`` is appended
-        where that has changes) and ``machine``.
+        The versions and the machine of this process.
     """
-    return {
-        "versions": {
+    return Environment(
+        versions={
             "python": platform.python_version(),
             "dosplan": __version__,
             **_package_versions(),
         },
-        "git_revision": git_revision(Path(__file__).parent),
-        "machine": {
-            "platform": platform.platform(),
-            "machine": platform.machine(),
-            "cpu_count": os.cpu_count(),
-        },
-    }
+        git_revision=git_revision(Path(__file__).parent),
+        machine=Machine(
+            platform=platform.platform(), machine=platform.machine(), cpu_count=os.cpu_count()
+        ),
+    )
 
 
 def content_digest(paths: Iterable[Path]) -> str:

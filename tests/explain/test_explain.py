@@ -20,8 +20,9 @@ from dosplan.explain.collision import CollisionFacts, Course
 from dosplan.explain.goal import GoalFacts
 from dosplan.explain.planning import PlanningFacts
 from dosplan.explain.road import RoadFacts
-from dosplan.results.folder import RunFolder, read_rows, row_line
+from dosplan.results.folder import RunFolder
 from dosplan.results.recording import load_recording, pack_recording
+from dosplan.results.rows import read_rows, row_line
 from dosplan.scenario.synthetic import (
     CAR_SIZE,
     LANE_WIDTH,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from dosplan.results.folder import read_rows
+from dosplan.results.rows import read_rows
 from dosplan.running import process
 from dosplan.running.process import EpisodeProcess
 from dosplan.running.run import RunError, run

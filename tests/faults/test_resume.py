@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from dosplan.results.folder import RunFolder, row_line
+from dosplan.results.folder import RunFolder
+from dosplan.results.rows import row_line
 from dosplan.running import run as runner
 from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunConfig, RunError, run

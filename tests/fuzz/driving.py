@@ -10,7 +10,7 @@ import numpy as np
 
 from dosplan.api import Planner, Predictor
 from dosplan.plugins.registry import create_planner, create_predictor
-from dosplan.results.folder import row_line
+from dosplan.results.rows import row_line
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import SimulationConfig, run_episode
 from dosplan.types import Arm, EpisodeEnd, Scenario

@@ -19,11 +19,13 @@ import pytest
 from dosplan.cli.command import BAD_INPUT, OK
 from dosplan.explain import explain
 from dosplan.report.html.write import write_report
-from dosplan.results.folder import RunFolder, read_run
+from dosplan.results.folder import RunFolder
 from dosplan.results.recording import load_cycle_ms, load_recording
+from dosplan.results.rows import read_run
 from dosplan.running import run as runner
 from dosplan.running.run import RunConfig, run
 from dosplan.system.folders import cache_folder
+from dosplan.system.provenance import Environment, Machine
 from dosplan.types import Arm
 from tests.fuzz.byte_damage import damage_binary
 from tests.fuzz.harness import Case, one_line_at_most, shell
@@ -33,6 +35,9 @@ from tests.support.runs import InProcess
 RUN: Final = Path("run")
 SCENES: Final = Path("scenes")
 """In the folder of a case, which is the working folder; so no path differs from time to time."""
+ENVIRONMENT: Final = Environment(
+    versions={"dosplan": "1"}, git_revision=None, machine=Machine("linux", "x86_64", 2)
+)
 VALUES: Final[tuple[Any, ...]] = (
     None, True, 0, -1, 1, 1.5, 10**400, -(10**30), float("nan"), float("inf"), "", "x", "\ud800",
     "../../x", "<script>", "with_dos", "success", [], [[]], {}, {"a": 1}, "a" * 5000, 2**63,
@@ -105,7 +110,7 @@ def _in_process() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "LocalExecutor", InProcess)
         # The real one asks git, which takes longer than all the rest.
-        patch.setattr(runner, "describe_environment", lambda: {"versions": {"dosplan": "1"}})
+        patch.setattr(runner, "describe_environment", lambda: ENVIRONMENT)
         yield
 
 

@@ -11,7 +11,7 @@ from dosplan.cli.command import BAD_INPUT, OK
 from dosplan.cli.main import main
 from dosplan.plugins.conformance import check_planner, check_predictor
 from dosplan.plugins.registry import RegistryError, create_planner, find_planner, find_predictor
-from dosplan.results.folder import read_rows
+from dosplan.results.rows import read_rows
 from dosplan.types import Outcome
 from tests.support.scenes import Goal, Problem, rectangle, write_scenario_xml
 

@@ -88,11 +88,11 @@ def test_a_run_is_that_of_the_command(
     plugins = ["--planner", "tests.support.faulty:CoastPlanner", "--predictor", STILL]
     assert main(["run", str(scenes), *plugins, "--out", str(tmp_path / "command")]) == 0
     assert untimed(tmp_path / "command") == untimed(results.path)
-    assert results.manifest["config"]["planner"] == "tests.support.faulty:CoastPlanner"
-    assert results.manifest["config"]["cache"]
+    assert results.manifest.config.planner == "tests.support.faulty:CoastPlanner"
+    assert results.manifest.config.cache
     opened = dosplan.open_run(results.path)
     assert opened == results
-    assert opened.summary["with_dos"]["n"] == 2
+    assert opened.summary.arms[Arm.WITH_DOS].n == 2
 
 
 @pytest.mark.usefixtures("in_process")

@@ -11,7 +11,7 @@ import pytest
 
 import dosplan.scoring.score
 from dosplan.cli.main import main
-from dosplan.results.folder import read_rows
+from dosplan.results.rows import read_rows
 from dosplan.system.files import read_json
 from dosplan.types import Arm, Outcome
 from tests.support.scenes import write_scenario_xml

@@ -32,8 +32,8 @@ from dosplan.report.figures import (
 )
 from dosplan.report.figures.sources import Z95, Published, default_results
 from dosplan.report.figures.style import save
-from dosplan.results.folder import read_rows, write_rows
 from dosplan.results.intervals import mean_interval, share_interval
+from dosplan.results.rows import read_rows, write_rows
 from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import FileError, read_json, write_json

@@ -28,8 +28,8 @@ from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.html.scenarios import families
 from dosplan.report.html.write import write_report
 from dosplan.report.tables import ARMS_SIDE_BY_SIDE
-from dosplan.results.folder import row_line
 from dosplan.results.recording import Recording
+from dosplan.results.rows import row_line
 from dosplan.scenario.synthetic import steady_tracks
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import FileError, write_json

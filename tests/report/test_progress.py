@@ -21,7 +21,7 @@ from rich.console import Console
 
 from dosplan.cli.main import FAILED, INTERRUPTED, OK, main
 from dosplan.report.progress import show_run
-from dosplan.results.folder import read_rows
+from dosplan.results.rows import read_rows
 from dosplan.running.progress import Observer, ProgressObserver
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import read_json

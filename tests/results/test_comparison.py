@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.stats import bootstrap
 
 from dosplan.results.comparison import Change, CompareError, compare_rows, compare_runs
-from dosplan.results.folder import write_rows
+from dosplan.results.rows import write_rows
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import write_json
 from dosplan.types import Arm, Outcome, Score

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from dosplan.results.folder import (
-    RunFolder,
-    append_row,
-    pooled_cycle_ms,
-    read_rows,
-    read_run,
-    row_line,
-    summarise,
-    write_rows,
-)
+from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import RunManifest, RunSettings, write_manifest
 from dosplan.results.recording import KEPT_EVERY, NEARBY_METRES, load_recording, pack_recording
+from dosplan.results.rows import append_row, read_rows, read_run, row_line, write_rows
+from dosplan.results.summary import pooled_cycle_ms, summarise
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import (
     FileError,
@@ -195,7 +189,7 @@ def test_the_summary_counts_every_row() -> None:
     ]
     times = np.arange(101.0)  # Percentiles of 0..100 are themselves.
     summary = summarise(rows, 8, {Arm.WITH_DOS: times})[Arm.WITH_DOS]
-    assert summary == {
+    assert asdict(summary) == {
         "n": 8,
         "success_rate": 0.25,
         "safe_rate": 0.375,  # 2 successes, 1 missed goal.
@@ -217,8 +211,8 @@ def test_outcome_rates_add_up_to_one() -> None:
     rows = [_row(outcome) for outcome in Outcome for _ in range(3)]
     summary = summarise(rows, 15, {Arm.WITH_DOS: np.empty(0)})[Arm.WITH_DOS]
     shares = ("success", "collision", "out_of_bounds", "goal_missed", "planner_failure")
-    assert sum(summary[f"{name}_rate"] for name in shares) == pytest.approx(1.0)  # type: ignore[literal-required]
-    assert summary["cycle_ms_p50"] is None
+    assert sum(getattr(summary, f"{name}_rate") for name in shares) == pytest.approx(1.0)
+    assert summary.cycle_ms_p50 is None
 
 
 @pytest.mark.parametrize("n", [1, 3])
@@ -404,14 +398,14 @@ def test_json_that_cannot_be_read_is_named(tmp_path: Path, content: str | None) 
 def test_a_run_that_is_not_finished_is_not_read(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="is not a run folder"):
         read_run(tmp_path)
-    manifest = {
-        "scenarios": ["s", "t"],
-        "config": {"arms": ["with_dos"]},
-        "planner": "p",
-        "predictor": "q",
-        "versions": {},
-    }
-    write_json(tmp_path / "run.json", manifest)
+    manifest = RunManifest(
+        config=RunSettings(arms=(Arm.WITH_DOS,)),
+        planner="p",
+        predictor="q",
+        scenarios=("s", "t"),
+        versions={},
+    )
+    write_manifest(RunFolder(tmp_path), manifest)
     write_rows(tmp_path / "scenarios.jsonl", [_row(Outcome.SUCCESS)])
     with pytest.raises(FileError, match="lacks 1 episodes: run the same command again"):
         read_run(tmp_path)

@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 
 from dosplan.plugins.registry import RegistryError
-from dosplan.results.folder import RunFolder, read_rows
+from dosplan.results.folder import RunFolder
 from dosplan.results.recording import KEPT_EVERY, load_recording
+from dosplan.results.rows import read_rows
 from dosplan.running import job as episode
 from dosplan.running import run as runner
 from dosplan.running.job import drive_episode

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import struct
 import sys
 import zipfile
@@ -20,8 +21,10 @@ from dosplan.cli.command import CommandError
 from dosplan.cli.main import main
 from dosplan.evaluation.methods import MethodError, read_methods
 from dosplan.plugins.registry import RegistryError, find_planner
-from dosplan.results.folder import RunFolder, read_manifest, read_rows, row_line
+from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import RunSettings, read_manifest
 from dosplan.results.recording import load_cycle_ms, load_recording
+from dosplan.results.rows import read_rows, row_line
 from dosplan.scenario import ScenarioError, load_scenario
 from dosplan.scenario.commonroad.obstacles import MAX_SIZE, MAX_STATES
 from dosplan.scoring.score import failed_score
@@ -200,10 +203,17 @@ def test_a_number_too_large_for_a_row_is_named(tmp_path: Path, value: str) -> No
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("source", 10), ("planner_options", 1.5), ("predictor_options", [])]
+    ("key", "value", "told"),
+    [
+        ("source", 10, "config.source: Expected `str`, got `int`"),
+        ("planner_options", 1.5, "config.planner_options: Expected `object`, got `float`"),
+        ("predictor_options", [], "config.predictor_options: Expected `object`, got `array`"),
+        ("arms", ["with_dos", "both"], "config.arms[1]: Invalid enum value 'both'"),
+        ("seed", True, "config.seed: Expected `int`, got `bool`"),
+    ],
 )
 def test_a_manifest_with_an_odd_configuration_is_named(
-    tmp_path: Path, key: str, value: object
+    tmp_path: Path, key: str, value: object, told: str
 ) -> None:
     folder = RunFolder(tmp_path)
     manifest: dict[str, Any] = {
@@ -211,20 +221,21 @@ def test_a_manifest_with_an_odd_configuration_is_named(
         **{"planner": "a", "predictor": "b", "scenarios": [], "versions": {}},
     }
     folder.manifest.write_text(json.dumps(manifest))
-    assert read_manifest(folder) == manifest
+    assert read_manifest(folder).config == RunSettings(arms=(Arm.WITH_DOS,))
     manifest["config"][key] = value
     folder.manifest.write_text(json.dumps(manifest))
-    with pytest.raises(FileError, match=r"is not a run\.json of this version"):
+    line = re.escape(f"{folder.manifest} is not a run.json of this version ({told}")
+    with pytest.raises(FileError, match=line):
         read_manifest(folder)
 
 
 def test_a_long_value_of_a_row_is_shortened(tmp_path: Path) -> None:
     path = tmp_path / "scenarios.jsonl"
     line = row_line(failed_score("a", Arm.WITH_DOS, "broken"))
-    path.write_text(line.replace('"steps": 0', f'"steps": "{"a" * 5000}"'))
-    with pytest.raises(FileError, match="steps is 'aaa") as caught:
+    path.write_text(line.replace('"planner_failure"', f'"{"a" * 5000}"'))
+    with pytest.raises(FileError, match="outcome: Invalid enum value 'aaa") as caught:
         read_rows(path)
-    assert len(str(caught.value)) < 300 + len(str(path))
+    assert len(str(caught.value)) < 450 + len(str(path))
 
 
 def test_a_text_that_utf8_cannot_hold_is_still_written_and_named(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dosplan.results.folder import read_run
+from dosplan.results.rows import read_run
 from dosplan.system.files import FileError, read_json
 from dosplan.types import FloatArray, Score
 

@@ -134,7 +134,7 @@ def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | No
         )
         for row, recording in zip(found.rows, found.recordings, strict=True)
     }
-    title = _title(scenario, found.manifest["planner"], found.manifest["predictor"])
+    title = _title(scenario, found.manifest.planner, found.manifest.predictor)
     return [takes[arm] for arm in ARMS_SIDE_BY_SIDE if arm in takes], title
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 from urllib.parse import quote
 
 from dosplan.report.html.page import build_page
@@ -13,7 +13,9 @@ from dosplan.report.html.scenarios import find_scenes
 from dosplan.report.html.sides import Pairing, Side
 from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results.comparison import compare_rows, paired_sides
-from dosplan.results.folder import RunFolder, read_manifest, read_run
+from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import RunManifest, read_manifest
+from dosplan.results.rows import read_run
 from dosplan.system.files import write_text
 from dosplan.types import Arm
 
@@ -43,10 +45,10 @@ def write_report(run: Path, out: Path | None = None, source: str | None = None) 
     sides = tuple(
         Side(ARM_TITLES[arm], folder, {row.scenario: row for row in rows if row.arm is arm}, arm)
         for arm in ARMS_SIDE_BY_SIDE
-        if arm in manifest["config"]["arms"]
+        if arm in manifest.config.arms
     )
     pairing = _pairing("", sides, manifest, source)
-    title = f"{manifest['planner']} {' and '.join(side.name for side in sides[::-1])}"
+    title = f"{manifest.planner} {' and '.join(side.name for side in sides[::-1])}"
     path = folder.report if out is None else out
     lead = _lead({side.arm for side in sides})
     write_text(path, build_page(title, _facts(manifest), [pairing], lead=lead))
@@ -93,9 +95,8 @@ def _lead(arms: Container[Arm]) -> str:
 
 
 def _pairing(
-    title: str, sides: tuple[Side, ...], manifest: Mapping[str, Any], source: str | None
+    title: str, sides: tuple[Side, ...], manifest: RunManifest, source: str | None
 ) -> Pairing:
-    config = manifest["config"]
     comparison = None
     if len(sides) > 1:
         a, b = sides
@@ -106,30 +107,31 @@ def _pairing(
         comparison=comparison,
         scenarios=tuple(sides[0].rows),
         scenes=find_scenes(
-            str(config.get("source", "?")) if source is None else source,
-            cached=bool(config.get("cache", True)),
+            manifest.config.source if source is None else source, cached=manifest.config.cache
         ),
     )
 
 
-def _facts(manifest: Mapping[str, Any]) -> dict[str, str]:
+def _facts(manifest: RunManifest) -> dict[str, str]:
     """What was run, for a reader who has the page alone."""
-    config = manifest["config"]
+    config = manifest.config
     options = {
         f"{plugin}.{name}": value
-        for plugin in ("planner", "predictor")
-        for name, value in config.get(f"{plugin}_options", {}).items()
+        for plugin, chosen in (
+            ("planner", config.planner_options),
+            ("predictor", config.predictor_options),
+        )
+        for name, value in chosen.items()
     }
     facts = {
-        "Planner": manifest["planner"],
-        "Predictor": manifest["predictor"],
+        "Planner": manifest.planner,
+        "Predictor": manifest.predictor,
         "Options": ", ".join(f"{name} = {value}" for name, value in options.items()),
-        "Scenarios": f"{len(manifest['scenarios'])} of {config.get('source', '')}",
-        "Seed": str(config.get("seed", "")),
-        "Started": str(manifest.get("started", "")),
-        "dosplan": f"{manifest['versions'].get('dosplan', '')} "
-        f"({str(manifest.get('git_revision'))[:12]})",
-        "Rank": "" if config.get("ranked", True) else "unranked: the predictor may see the future",
+        "Scenarios": f"{len(manifest.scenarios)} of {config.source}",
+        "Seed": str(config.seed),
+        "Started": manifest.started,
+        "dosplan": f"{manifest.versions.get('dosplan', '')} ({str(manifest.git_revision)[:12]})",
+        "Rank": "" if config.ranked else "unranked: the predictor may see the future",
     }
     return {name: value for name, value in facts.items() if value}
 

@@ -1,0 +1,125 @@
+"""What a run is: ``run.json``.
+
+A key that is absent from a file has the default of its field: a file of an older version does not
+have the keys of a newer one. A key that is not known is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from dosplan.results.folder import RunFolder
+from dosplan.system.files import FileError, read_json, write_json
+from dosplan.system.provenance import Machine
+from dosplan.system.typed import plain, typed
+from dosplan.types import Arm
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSettings:
+    """How a run was asked for; two runs of the same settings have the same rows but for timings.
+
+    Attributes:
+        source: Where the scenarios are, as ``dosplan.scenario.find_scenarios`` takes it.
+        planner: Planner, as ``dosplan.plugins.registry`` finds it.
+        predictor: Predictor, likewise.
+        planner_options: Keyword arguments of the planner's constructor besides the seed: what
+            JSON can hold.
+        predictor_options: Those of the predictor's.
+        arms: Arms to drive.
+        workers: Number of worker processes on this machine.
+        limit: Number of scenarios to drive, the first ones; None drives all.
+        seed: Seed of everything random.
+        replan_every: Steps driven from each plan.
+        episode_timeout: Seconds after which an episode counts as hung; the making of the
+            planner, where a worker has none yet, is within them.
+        memory_limit: Resident memory at which a worker process is ended, MB (10^6 bytes).
+        ranked: Whether the run keeps the rules: a predictor that sees the future is refused.
+        cluster: Dask scheduler (``tcp://host:port``) or ``local:N``; None drives on this machine.
+        cache: Whether parsed scenarios are kept for the next run (``dosplan.scenario.cache``).
+        solutions: Whether the run folder gets CommonRoad solutions (``dosplan.results.solutions``).
+    """
+
+    source: str = "suite"
+    planner: str = "mpc"
+    predictor: str = "dos"
+    planner_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    predictor_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    arms: tuple[Arm, ...] = tuple(Arm)
+    workers: int = 1
+    limit: int | None = None
+    seed: int = 0
+    replan_every: int = 1
+    episode_timeout: float = 600.0
+    memory_limit: int = 4000
+    ranked: bool = True
+    cluster: str | None = None
+    cache: bool = False
+    solutions: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunManifest:
+    """Content of ``run.json``.
+
+    Attributes:
+        config: The settings of the run.
+        planner: Name of the planner, with its version.
+        predictor: Name of the predictor, likewise.
+        scenarios: Ids of the scenarios, in their order: with the arms, every episode of the run.
+        digests: SHA-256 of the content of the plug-ins' files, weights and scenario files; what
+            tells that a run cannot be resumed since they changed.
+        started: When the run began, UTC, as ISO 8601.
+        versions: Versions of Python, dosplan and the packages that decide figures.
+        git_revision: Commit of dosplan's source, with ``-dirty`` where it was changed; null where
+            it was not a checkout.
+        machine: The machine of the runner.
+    """
+
+    config: RunSettings
+    planner: str
+    predictor: str
+    scenarios: tuple[str, ...]
+    digests: Mapping[str, str] = field(default_factory=dict)
+    started: str = ""
+    versions: Mapping[str, str]
+    git_revision: str | None = None
+    machine: Machine | None = None
+
+
+def write_manifest(folder: RunFolder, manifest: RunManifest) -> None:
+    """Writes ``run.json``.
+
+    Args:
+        folder: The run folder.
+        manifest: Its content.
+
+    Raises:
+        FileError: It cannot be written.
+    """
+    write_json(folder.manifest, plain(manifest))
+
+
+def read_manifest(folder: RunFolder) -> RunManifest:
+    """Reads ``run.json``.
+
+    Args:
+        folder: The run folder.
+
+    Returns:
+        Its content.
+
+    Raises:
+        FileError: It is missing, cannot be read or does not describe a run.
+    """
+    if not folder.manifest.is_file():
+        raise FileError(f"{folder.path} is not a run folder: it has no run.json")
+    try:
+        return typed(read_json(folder.manifest), RunManifest)
+    except ValueError as error:
+        raise FileError(
+            f"{folder.manifest} is not a run.json of this version ({error}); "
+            "name another folder, or delete this one"
+        ) from None

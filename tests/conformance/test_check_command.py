@@ -12,7 +12,7 @@ from dosplan.cli.main import main
 from dosplan.system.files import read_json
 
 BAD = Path(__file__).with_name("bad_plugins.py")
-LIMIT = 5  # s; only who hangs needs as long.
+LIMIT = 5  # s; at which Hangs is given up.
 
 # The check that fails first, and all that it says; lines of code are left out.
 BROKEN = {
@@ -86,7 +86,9 @@ def test_a_bad_plugin_is_told_what_to_fix(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "check.json"
-    arguments = [f"{BAD}:{name}", "--timeout", str(LIMIT), "--json", str(path)]
+    arguments = [f"{BAD}:{name}", "--json", str(path)]
+    if name == "Hangs":  # Nobody else is held to it, since a busy machine makes anybody slow.
+        arguments += ["--timeout", str(LIMIT)]
     assert main(["check", *arguments]) == FAILED
     assert "breaks the contract" in capsys.readouterr().out
     first = next(check for check in read_json(path)["checks"] if not check["ok"])

@@ -191,7 +191,8 @@ BAD_PLANNERS = [
 def test_a_bad_planner_fails_at_its_own_rule(
     planner: Callable[..., Any], name: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(conformance, "SLOW_SECONDS", 0.03)
+    if planner is Sleeper:  # Alone, since a busy machine makes anybody slow.
+        monkeypatch.setattr(conformance, "SLOW_SECONDS", 0.03)
     found = failures(check_planner(planner))
     assert message in found[name]
     assert "\n" not in found[name]

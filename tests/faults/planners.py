@@ -21,6 +21,8 @@ from dosplan.vehicle import VehicleParameters
 
 HORIZON = 5
 EATEN: list[bytearray] = []
+BEGUN = "FAULTS_BEGUN"
+"""Names a folder in which each fault leaves a file of its name before it happens, if set."""
 
 
 def _raise() -> None:
@@ -71,9 +73,9 @@ FAULTS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: os.kill(os.getpid(), signal.SIGTERM),
         "the worker process ended with exit code 15",
     ),
-    "stop": (lambda: os.kill(os.getpid(), signal.SIGSTOP), "timed out after 4 s"),
-    "hang": (lambda: time.sleep(3600.0), "timed out after 4 s"),
-    "hang-locked": (_hang_with_the_lock, "timed out after 4 s"),
+    "stop": (lambda: os.kill(os.getpid(), signal.SIGSTOP), "timed out after "),
+    "hang": (lambda: time.sleep(3600.0), "timed out after "),
+    "hang-locked": (_hang_with_the_lock, "timed out after "),
     "eat": (_eat, "took more than the memory limit of 700 MB"),
     "eat-locked": (_eat_with_the_lock, "took more than the memory limit of 700 MB"),
     "recurse": (lambda: _recurse(0), "planner fault-v1: RecursionError:"),
@@ -109,7 +111,10 @@ class FaultPlanner(Planner):
         if observation.step == 2:
             number = re.search(r"-(\d+)_", observation.task.scenario_id)
             assert number is not None
-            FAULTS[NAMES[int(number[1])]][0]()
+            name = NAMES[int(number[1])]
+            if begun := os.environ.get(BEGUN):
+                Path(begun, name).touch()
+            FAULTS[name][0]()
         return coast(observation)
 
 

@@ -25,7 +25,6 @@ from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunError, run
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
 from dosplan.types import Arm
-from tests.faults.planners import NAMES
 from tests.support.fault_runs import (
     command,
     configured,
@@ -33,6 +32,7 @@ from tests.support.fault_runs import (
     start,
     until,
     untimed,
+    write_faults,
     write_scenes,
 )
 
@@ -104,11 +104,8 @@ def machines(tmp_path: Path) -> Iterator[Cluster]:
 
 @pytest.mark.slow
 def test_a_local_cluster_isolates_as_one_machine_does(tmp_path: Path) -> None:
-    scenes = write_scenes(tmp_path / "scenes", len(NAMES))
     kept = ("fine", "raise", "exit-3", "segv", "eat")
-    for file in scenes.iterdir():
-        if NAMES[int(file.name[10:12])] not in kept:
-            file.unlink()
+    scenes = write_faults(tmp_path / "scenes", kept)
     options: dict[str, Any] = {"memory_limit": 700, "arms": (Arm.WITH_DOS,)}
     here = configured(tmp_path / "here", scenes, "FaultPlanner", workers=2, **options)
     there = configured(tmp_path / "there", scenes, "FaultPlanner", cluster="local:2", **options)
@@ -128,7 +125,7 @@ def test_the_death_of_half_of_the_workers_loses_nothing(
     machines.workers[0].kill()
     until(lambda: rows_in(out) >= 4, "more rows")
     machines.workers[1].kill()
-    _, complaint = process.communicate(timeout=90.0)
+    _, complaint = process.communicate(timeout=300.0)
     assert process.returncode == 0, complaint
     assert untimed(out) == undisturbed
     assert [line for line in complaint.splitlines() if "episodes" not in line] == []
@@ -143,7 +140,7 @@ def test_a_scheduler_that_goes_away_leaves_a_folder_that_resumes(
     process = start(command(out, scenes, "SlowPlanner", "--cluster", machines.address))
     until(lambda: rows_in(out) >= 2, "two rows")
     machines.scheduler.kill()
-    _, complaint = process.communicate(timeout=60.0)
+    _, complaint = process.communicate(timeout=300.0)
     assert process.returncode == 2
     assert complaint.splitlines()[-1] == (
         f"dosplan: error: lost the Dask scheduler at {machines.address}; what was driven is kept, "
@@ -162,12 +159,13 @@ def test_a_scheduler_that_goes_away_leaves_a_folder_that_resumes(
 def test_ctrl_c_stops_a_local_cluster(scenes: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     arguments = command(out, scenes, "SlowPlanner", "--cluster", "local:2")
+    begun = time.monotonic()
     process = start(arguments, start_new_session=True)
     until(lambda: rows_in(out) >= 1, "a row")
     asked = time.monotonic()
     os.killpg(process.pid, signal.SIGINT)
-    _, complaint = process.communicate(timeout=30.0)  # Until the last process has ended.
-    assert time.monotonic() - asked < 2.0
+    _, complaint = process.communicate(timeout=120.0)  # Until the last process has ended.
+    assert time.monotonic() - asked < asked - begun  # Less than the start took.
     assert process.returncode == 130
     assert complaint.splitlines()[-1].startswith("dosplan: interrupted; the same command with")
     assert "Traceback" not in complaint

@@ -91,7 +91,7 @@ def test_a_run_that_was_killed_at_any_moment_is_resumed(
     config = configured(tmp_path / "run", scenes)
     child = multiprocessing.get_context("fork").Process(target=_run_and_die, args=(config, moment))
     child.start()
-    child.join(60.0)
+    child.join(300.0)
     # The last number stands for a run that passes every moment: the count above is right.
     assert child.exitcode == (0 if moment == MOMENTS else -signal.SIGKILL)
 
@@ -117,9 +117,9 @@ def test_kill_9_of_the_runner_again_and_again_loses_nothing(
         process = start(arguments)
         until(moment, "a row")
         process.kill()
-        process.communicate(timeout=20.0)  # Ends with the last worker: none is left behind.
+        process.communicate(timeout=120.0)  # Ends with the last worker: none is left behind.
     process = start(arguments)
-    _, complaint = process.communicate(timeout=60.0)
+    _, complaint = process.communicate(timeout=300.0)
     assert process.returncode == 0, complaint
     assert untimed(out) == undisturbed
 
@@ -132,7 +132,7 @@ def driving(scenes: Path, tmp_path: Path) -> Iterator[Path]:
     until(lambda: (out / "scenarios.jsonl").exists(), "the run to begin")
     yield out
     process.kill()
-    process.communicate(timeout=20.0)
+    process.communicate(timeout=120.0)
 
 
 def test_a_second_runner_is_kept_out(driving: Path, scenes: Path) -> None:

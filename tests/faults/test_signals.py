@@ -6,57 +6,75 @@ import os
 import signal
 import subprocess
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 import pytest
 
-from tests.faults.planners import NAMES
-from tests.support.fault_runs import alive, command, rows_in, start, until, write_scenes
+from tests.faults.planners import BEGUN
+from tests.support.fault_runs import alive, command, rows_in, start, until, write_faults
 
 
-def _hanging(tmp_path: Path, fault: str) -> tuple[subprocess.Popen[str], list[int]]:
-    """A run of which one worker waits and one hangs, and the processes that it started."""
-    scenes = write_scenes(tmp_path / "scenes", len(NAMES))
-    for file in scenes.iterdir():  # What is fine, and what hangs.
-        if int(file.name[10:12]) not in (0, NAMES.index(fault)):
-            file.unlink()
-    out = tmp_path / "run"
-    options = ("--workers", "2", "--with-dos")
-    process = start(command(out, scenes, "FaultPlanner", *options), start_new_session=True)
+@dataclass(frozen=True)
+class Hanging:
+    """A run of which one worker waits and one hangs.
+
+    Attributes:
+        process: The runner.
+        workers: The processes that it started.
+        started: Seconds that it took until both workers drove.
+    """
+
+    process: subprocess.Popen[str]
+    workers: list[int]
+    started: float
+
+    def has_left_nobody(self) -> bool:
+        return not any(alive(pid) for pid in self.workers)
+
+
+def _hanging(tmp_path: Path, fault: str) -> Hanging:
+    scenes = write_faults(tmp_path / "scenes", ("fine", fault))
+    out, begun = tmp_path / "run", tmp_path / "begun"
+    begun.mkdir()
+    arguments = command(out, scenes, "FaultPlanner", "--workers", "2", "--with-dos")
+    asked = time.monotonic()
+    process = start(arguments, start_new_session=True, env={**os.environ, BEGUN: str(begun)})
     until(lambda: rows_in(out) == 1, "the row of the episode that is fine")
-    time.sleep(0.3)  # The other one hangs now.
+    until((begun / fault).exists, "the other one to hang")
+    started = time.monotonic() - asked
     workers = [child.pid for child in psutil.Process(process.pid).children(recursive=True)]
     assert len(workers) >= 2
-    return process, workers
+    return Hanging(process, workers, started)
 
 
 @pytest.mark.parametrize(
     ("fault", "how"),
     [("hang", signal.SIGINT), ("hang-locked", signal.SIGTERM), ("stop", signal.SIGINT)],
 )
-def test_a_stop_takes_less_than_two_seconds_and_leaves_no_process(
+def test_a_stop_takes_less_time_than_the_start_and_leaves_no_process(
     tmp_path: Path, fault: str, how: signal.Signals
 ) -> None:
-    process, workers = _hanging(tmp_path, fault)
-    asked = time.monotonic()
+    run = _hanging(tmp_path, fault)
+    process, asked = run.process, time.monotonic()
     if how is signal.SIGINT:  # As a terminal does: to the whole group.
         os.killpg(process.pid, how)
     else:
         process.send_signal(how)
-    _, complaint = process.communicate(timeout=20.0)
-    assert time.monotonic() - asked < 2.0
+    _, complaint = process.communicate(timeout=120.0)
+    assert time.monotonic() - asked < run.started  # Which a busy machine draws out as well.
     assert process.returncode == 130
     assert complaint.splitlines()[-1] == (
         f"dosplan: interrupted; the same command with --out {tmp_path / 'run'} resumes"
     )
     assert "Traceback" not in complaint
-    until(lambda: not any(alive(pid) for pid in workers), "the workers to end", 5.0)
+    until(run.has_left_nobody, "the workers to end")
 
 
 @pytest.mark.parametrize("fault", ["hang-locked", "stop"])
 def test_no_worker_outlives_a_runner_that_is_killed(tmp_path: Path, fault: str) -> None:
-    process, workers = _hanging(tmp_path, fault)
-    process.kill()
-    process.wait()
-    until(lambda: not any(alive(pid) for pid in workers), "the workers to end", 5.0)
+    run = _hanging(tmp_path, fault)
+    run.process.kill()
+    run.process.wait()
+    until(run.has_left_nobody, "the workers to end")

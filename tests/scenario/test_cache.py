@@ -101,16 +101,16 @@ def test_a_hit_parses_nothing(scene: Path, folder: Path, monkeypatch: pytest.Mon
     assert load_scenario(ref, cached=True).id == ref.id
 
 
-def test_a_hit_takes_less_than_ten_milliseconds() -> None:
-    refs = find_scenarios("suite")[:: len(ROWS) // 10]
-    for ref in refs:
-        load_scenario(ref, cached=True)
-    seconds = []
-    for ref in refs:
-        started = time.perf_counter()
-        load_scenario(ref, cached=True)
-        seconds.append(time.perf_counter() - started)
-    assert statistics.median(seconds) < 0.01
+def test_a_hit_takes_a_small_part_of_what_parsing_takes(folder: Path) -> None:
+    ratios = []
+    for ref in find_scenarios("suite")[:: len(ROWS) // 10]:
+        seconds = []
+        for _ in range(2):  # A miss and a hit, in processor time: others may be busy.
+            started = time.process_time()
+            load_scenario(ref, cached=True)
+            seconds.append(time.process_time() - started)
+        ratios.append(seconds[1] / seconds[0])
+    assert statistics.median(ratios) < 0.1
 
 
 def test_an_entry_follows_from_content_name_and_code(

@@ -6,16 +6,18 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from dosplan.results.folder import RunFolder
 from dosplan.running.run import RunConfig
+from tests.faults import planners
+from tests.faults.planners import NAMES
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
-PLANNERS = Path(__file__).parents[1] / "faults" / "planners.py"
+PLANNERS = Path(planners.__file__)
 STILL = f"{Path(__file__).with_name('faulty.py')}:StillPredictor"
 STEPS = 10
 
@@ -32,6 +34,15 @@ def write_scenes(folder: Path, count: int) -> Path:
             problems=[Problem(goals=(goal,))],
             benchmark_id=name,
         )
+    return folder
+
+
+def write_faults(folder: Path, names: Sequence[str]) -> Path:
+    """Writes a scenario for each of some of the faults of ``tests.faults.planners``, in order."""
+    write_scenes(folder, len(NAMES))
+    for number, file in enumerate(sorted(folder.iterdir())):
+        if NAMES[number] not in names:
+            file.unlink()
     return folder
 
 
@@ -66,7 +77,7 @@ def start(arguments: list[str], **kwargs: Any) -> subprocess.Popen[str]:
     )
 
 
-def until(condition: Callable[[], object], what: str, seconds: float = 60.0) -> None:
+def until(condition: Callable[[], object], what: str, seconds: float = 300.0) -> None:
     """Waits for something to become true."""
     deadline = time.monotonic() + seconds
     while not condition():

@@ -137,7 +137,7 @@ def has_libraries() -> bool:
 def drive(scenario: Scenario, planner: Planner, predictor: Predictor, arm: Arm) -> Times:
     """Drives and scores one episode."""
     started, cpu_started = time.perf_counter(), time.process_time()
-    episode = run_episode(scenario, planner, predictor, arm, vehicle=VEHICLE)
+    episode = run_episode(scenario, planner, predictor, arm)
     wall, cpu = time.perf_counter() - started, time.process_time() - cpu_started
     if episode.end is EpisodeEnd.PLANNER_FAILURE:
         raise SystemExit(f"bench: {scenario.id}, {arm}: {episode.error}")
@@ -154,7 +154,7 @@ def drive(scenario: Scenario, planner: Planner, predictor: Predictor, arm: Arm) 
         "episode_rest": np.array([wall - cycle.sum()]),
     }
     times = {part: 1e3 * values for part, values in seconds.items()}
-    times["score"] = np.array([elapsed(partial(score, scenario, episode, VEHICLE))])
+    times["score"] = np.array([elapsed(partial(score, scenario, episode))])
     return times
 
 

@@ -28,7 +28,6 @@ from dosplan.scoring.score import score
 from dosplan.simulation.loop import SimulationConfig
 from dosplan.simulation.loop import run_episode as simulate
 from dosplan.types import Arm, Episode, Scenario, Score
-from dosplan.vehicle import VehicleParameters
 
 if TYPE_CHECKING:
     import pandas
@@ -132,10 +131,9 @@ def run_episode(
         planner = create_planner(planner, seed)
     if isinstance(predictor, str):
         predictor = create_predictor(predictor, seed)
-    vehicle = VehicleParameters()
     config = SimulationConfig(replan_every=replan_every)
-    episode = simulate(scenario, planner, predictor, Arm(arm), config, vehicle)
-    return Driven(episode, score(scenario, episode, vehicle))
+    episode = simulate(scenario, planner, predictor, Arm(arm), config)
+    return Driven(episode, score(scenario, episode))
 
 
 def run_suite(

@@ -5,7 +5,6 @@ import numpy as np
 import dosplan
 from dosplan.api import Planner
 from dosplan.types import Observation, Occupancy, Plan
-from dosplan.vehicle import VehicleParameters
 
 
 class Coast(Planner):
@@ -14,7 +13,7 @@ class Coast(Planner):
     name = "coast-v1"
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
-        vehicle = VehicleParameters()
+        vehicle = observation.task.vehicle
         gap = occupancy.centre[:, :10] - vehicle.centre(observation.ego)
         near = occupancy.valid[:, :10] & (np.hypot(gap[..., 0], gap[..., 1]) < 10.0)
         wish = np.array([0.0, -4.0 if near.any() else 0.0])

@@ -34,7 +34,6 @@ from dosplan.scoring.score import score
 from dosplan.simulation.loop import known_drive
 from dosplan.system.files import write_bytes
 from dosplan.types import STEP_SECONDS, Arm, Outcome
-from dosplan.vehicle import VehicleParameters
 
 RECORDINGS: Final = "recordings"
 SCENARIOS: Final = "scenarios"
@@ -189,12 +188,12 @@ def _problem(moment: Moment) -> ProblemDraft:
 
 def _objection(path: Path, xml: bytes, moment: Moment) -> str | None:
     """Why a moment makes no scenario: the recorded drive must succeed under dosplan's scoring."""
-    vehicle = VehicleParameters()
     try:
         scenario = parse_scenario(ScenarioRef(path, ""), xml)
     except ScenarioError:
         return UNUSABLE
+    vehicle = scenario.task.vehicle
     states = np.array([vehicle.state_at(row[:2], row[2], row[3]) for row in moment.drive()])
     start = moment.start - moment.first
-    driven = score(scenario, known_drive(scenario.id, Arm.WITHOUT_DOS, start, states), vehicle)
+    driven = score(scenario, known_drive(scenario.id, Arm.WITHOUT_DOS, start, states))
     return None if driven.outcome is Outcome.SUCCESS else driven.outcome.value

@@ -24,7 +24,6 @@ class Drive:
         scenario: What was driven, the recorded future included.
         row: Its row.
         recording: Its file.
-        vehicle: The ego.
 
     Raises:
         FileError: The episode was not driven in this scenario, or ended before its row says so.
@@ -33,7 +32,6 @@ class Drive:
     scenario: Scenario
     row: Score
     recording: Recording
-    vehicle: VehicleParameters
 
     def __post_init__(self) -> None:
         start = self.scenario.task.start
@@ -48,6 +46,11 @@ class Drive:
                 f"the row of {self.row.scenario} counts {self.row.steps} steps, its episode file "
                 f"holds {recorded}: one of them is not of this run"
             )
+
+    @property
+    def vehicle(self) -> VehicleParameters:
+        """The ego."""
+        return self.scenario.task.vehicle
 
     @cached_property
     def states(self) -> FloatArray:

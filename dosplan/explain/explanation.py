@@ -16,7 +16,6 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.lookup import find_recorded
 from dosplan.results.recording import Recording
 from dosplan.types import Arm, Outcome, Scenario, Score
-from dosplan.vehicle import VehicleParameters
 
 
 @dataclass(frozen=True)
@@ -99,11 +98,7 @@ def explain(
 
 
 def explain_episode(
-    scenario: Scenario,
-    row: Score,
-    recording: Recording,
-    vehicle: VehicleParameters = VehicleParameters(),  # noqa: B008 - frozen
-    traceback: str | None = None,
+    scenario: Scenario, row: Score, recording: Recording, traceback: str | None = None
 ) -> Explanation:
     """Explains an episode.
 
@@ -111,7 +106,6 @@ def explain_episode(
         scenario: What was driven.
         row: Its row.
         recording: Its file.
-        vehicle: The ego.
         traceback: File of its traceback, where it has one.
 
     Returns:
@@ -120,7 +114,7 @@ def explain_episode(
     Raises:
         FileError: The episode was not driven in this scenario.
     """
-    drive = Drive(scenario, row, recording, vehicle)
+    drive = Drive(scenario, row, recording)
     contact, off_road, reached = drive.contact, row.out_of_bounds_step, row.goal_step
     return Explanation(
         scenario=row.scenario,

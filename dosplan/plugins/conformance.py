@@ -31,7 +31,6 @@ from dosplan.scenario.synthetic import (
 )
 from dosplan.system.errors import failure_place, one_line
 from dosplan.types import Observation, Occupancy, Scenario
-from dosplan.vehicle import VehicleParameters
 
 SEED = 7
 HORIZON = 40
@@ -363,7 +362,8 @@ def _arms_agree(drive: _Drive) -> None:
 
 
 def _follows_model(trace: Trace) -> None:
-    vehicle, dt = VehicleParameters(), straight_scenario().dt
+    task = busy_scenario().task
+    vehicle, dt = task.vehicle, task.dt
     for plan in trace.results:
         state = plan.states[0]
         for step, (u, planned) in enumerate(zip(plan.inputs, plan.states[1:], strict=True)):
@@ -377,7 +377,8 @@ def _follows_model(trace: Trace) -> None:
 
 
 def _within_limits(trace: Trace) -> None:
-    vehicle, dt = VehicleParameters(), straight_scenario().dt
+    task = busy_scenario().task
+    vehicle, dt = task.vehicle, task.dt
     for plan in trace.results:
         for step, (state, u) in enumerate(zip(plan.states[:-1], plan.inputs, strict=True)):
             excess = float(np.max(np.abs(vehicle.clip_input(state, u, dt) - u)))

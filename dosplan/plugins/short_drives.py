@@ -17,7 +17,6 @@ from dosplan.api import OraclePredictor, Planner, Predictor
 from dosplan.scenario.synthetic import growing_sets
 from dosplan.simulation.loop import observe
 from dosplan.types import HISTORY_STEPS, FloatArray, Observation, Occupancy, Plan, Scenario
-from dosplan.vehicle import VehicleParameters
 
 CYCLES = 3
 
@@ -66,7 +65,7 @@ def drive_planner(
     Returns:
         What it did.
     """
-    vehicle = VehicleParameters()
+    vehicle = scenario.task.vehicle
     planner.reset(scenario.task, scenario.road_map, vehicle)
     driven = [np.array(scenario.task.start)]
     plans: list[Plan] = []

@@ -29,8 +29,8 @@ from dosplan.types import (
     FloatArray,
     IntArray,
     Occupancy,
+    Scenario,
 )
-from dosplan.vehicle import VehicleParameters
 
 KEPT_EVERY: Final = 5  # Predicted steps 5, 10, 15, ... are kept.
 NEARBY_METRES: Final = 60.0  # Sets of road users farther from the ego than this are left out.
@@ -107,12 +107,12 @@ class Recording:
         return self.predict_ms + self.plan_ms
 
 
-def pack_recording(episode: Episode, vehicle: VehicleParameters) -> bytes:
+def pack_recording(scenario: Scenario, episode: Episode) -> bytes:
     """Packs what an episode's file holds.
 
     Args:
+        scenario: What was driven.
         episode: The episode.
-        vehicle: Gives the rectangle's centre for a planned state.
 
     Returns:
         Content of the ``.npz`` file.
@@ -137,7 +137,7 @@ def pack_recording(episode: Episode, vehicle: VehicleParameters) -> bytes:
         "active_ids": np.array([i for r in reports for i in r.active_ids], dtype=np.int64),
         "active_counts": np.array([len(r.active_ids) for r in reports], dtype=np.int32),
         "fallback": np.array([report.fallback or "" for report in reports], dtype=np.str_),
-        "plan_centres": _grain(_planned_centres(episode, vehicle) - origin),
+        "plan_centres": _grain(_planned_centres(scenario, episode) - origin),
         **_kept_sets(episode, origin),
     }
     file = io.BytesIO()
@@ -262,11 +262,11 @@ def _grain(values: FloatArray) -> _FloatArray32:
     return (np.round(values * _GRAIN) / _GRAIN).astype(np.float32)
 
 
-def _planned_centres(episode: Episode, vehicle: VehicleParameters) -> FloatArray:
+def _planned_centres(scenario: Scenario, episode: Episode) -> FloatArray:
     longest = max((len(plan.states) for plan in episode.plans), default=0)
     centres = np.full((len(episode.plans), longest, 2), np.nan)
     for row, plan in zip(centres, episode.plans, strict=True):
-        row[: len(plan.states)] = vehicle.centre(plan.states)
+        row[: len(plan.states)] = scenario.task.vehicle.centre(plan.states)
     return centres
 
 

@@ -26,7 +26,6 @@ from dosplan.simulation.loop import SimulationConfig, run_episode
 from dosplan.system.errors import one_line
 from dosplan.system.workers import seed_globals
 from dosplan.types import Arm, EpisodeEnd, Score
-from dosplan.vehicle import VehicleParameters
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,6 @@ def drive_episode(ref: ScenarioRef, arm: Arm, config: RunConfig) -> EpisodeResul
     Returns:
         Its row and files. Whatever a plug-in or a scenario file raises becomes a row, too.
     """
-    vehicle = VehicleParameters()
     raised: list[BaseException] = []
     try:
         seed_globals(config.seed)
@@ -63,10 +61,10 @@ def drive_episode(ref: ScenarioRef, arm: Arm, config: RunConfig) -> EpisodeResul
         seed_globals(config.seed)
         scenario = load_scenario(ref, cached=config.cache)
         simulation = SimulationConfig(replan_every=config.replan_every)
-        episode = run_episode(scenario, planner, predictor, arm, simulation, vehicle, raised.append)
-        row = score(scenario, episode, vehicle)
+        episode = run_episode(scenario, planner, predictor, arm, simulation, raised.append)
+        row = score(scenario, episode)
         row_line(row)  # What is no number is told here, not by the runner when it appends the row.
-        recording = pack_recording(episode, vehicle)
+        recording = pack_recording(scenario, episode)
     except BaseException as error:  # KeyboardInterrupt, too: only a plug-in raises it here.
         _plugins.cache_clear()
         return EpisodeResult(failed_score(ref.id, arm, one_line(error)), traceback=_text(error))

@@ -21,6 +21,7 @@ import json
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import asdict
 from functools import lru_cache
 from hashlib import sha256
 from importlib.metadata import version
@@ -44,10 +45,11 @@ from dosplan.types import (
     Scenario,
     Tracks,
 )
+from dosplan.vehicle import VehicleParameters
 
 MAX_BYTES: Final = 4 * 1024**3
 """Size that the whole cache keeps to, about."""
-_FORMAT: Final = 4
+_FORMAT: Final = 5
 _LIBRARIES: Final = ("commonroad-io", "networkx", "numpy", "scipy", "shapely")
 _ROUTE: Final = (
     "arclength", "path", "heading", "curvature", "left", "right", "outer_left", "outer_right",
@@ -122,6 +124,7 @@ def pack_scenario(scenario: Scenario) -> bytes:
         "outlines": [None if x is None else array(x) for x in tracks.outlines],
         "task": [task.scenario_id, task.dt, task.start_step, task.final_step],
         "start": array(task.start),
+        "vehicle": asdict(task.vehicle),
         "goals": [
             [
                 goal.first_step,
@@ -218,6 +221,7 @@ def unpack_scenario(data: bytes) -> Scenario:
             goals=goals,
             final_step=final_step,
             route=Route(lanelet_ids=tuple(lanelet_ids), **parts),
+            vehicle=VehicleParameters(**header["vehicle"]),
         ),
         tags=frozenset(header["tags"]),
     )
@@ -243,9 +247,8 @@ def _entry(ref: ScenarioRef, content: bytes) -> Path:
 def _code_digest() -> str:
     """Fingerprints the code that makes a ``Scenario`` of a file."""
     package = Path(__file__).resolve().parents[1]
-    modules = [package / "vehicle.py"]
-    for name in ("types", "geometry", "scenario"):
-        modules += sorted(package.glob(f"{name}/**/*.py"))
+    rooms = ("types", "geometry", "scenario")
+    modules = [path for room in rooms for path in sorted(package.glob(f"{room}/**/*.py"))]
     total = sha256(f"format {_FORMAT}\n".encode())
     for path in modules:
         total.update(path.name.encode() + sha256(path.read_bytes()).digest())

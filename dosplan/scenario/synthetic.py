@@ -149,6 +149,7 @@ def straight_scenario(
         goals=tuple(goals),
         final_step=final_step,
         route=straight_route(),
+        vehicle=vehicle,
     )
     return Scenario(
         id="straight",

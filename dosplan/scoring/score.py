@@ -79,19 +79,19 @@ COLLISION_HORIZON: Final = 3.0
 """How far ahead a collision under constant velocities is looked for, s (nuPlan's)."""
 
 
-def score(scenario: Scenario, episode: Episode, vehicle: VehicleParameters) -> Score:
+def score(scenario: Scenario, episode: Episode) -> Score:
     """Scores one episode.
 
     Args:
         scenario: The scenario that was driven.
         episode: What happened.
-        vehicle: The ego's parameters.
 
     Returns:
         The episode's row.
     """
+    task, vehicle = scenario.task, scenario.task.vehicle
     states, start = episode.states, episode.start_step
-    goal_step = _goal_step(scenario.task, states, start, vehicle)
+    goal_step = _goal_step(task, states, start)
     if goal_step is not None:
         states = states[: goal_step - start + 1]
     ego = np.column_stack([vehicle.poses(states), states[:, EGO_VELOCITY]])
@@ -144,7 +144,7 @@ def score(scenario: Scenario, episode: Episode, vehicle: VehicleParameters) -> S
         out_of_bounds_step=out_of_bounds_step,
         goal_step=goal_step,
         velocity=_mean_velocity(states),
-        progress=_progress(scenario.task.route, ego),
+        progress=_progress(task.route, ego),
         steps=driven,
         comfortable=felt.comfortable,
         max_abs_acceleration=felt.acceleration,
@@ -237,10 +237,8 @@ def min_time_to_collision(
     return smallest if smallest < COLLISION_HORIZON else None
 
 
-def _goal_step(
-    task: PlanningTask, states: FloatArray, start: int, vehicle: VehicleParameters
-) -> int | None:
-    centres = vehicle.centre(states)
+def _goal_step(task: PlanningTask, states: FloatArray, start: int) -> int | None:
+    centres = task.vehicle.centre(states)
     for step, (state, centre) in enumerate(zip(states, centres, strict=True), start):
         heading, velocity = float(state[EGO_HEADING]), float(state[EGO_VELOCITY])
         if goal_reached(task.goals, step, centre, heading, velocity):

@@ -31,7 +31,6 @@ from dosplan.types import (
     Plan,
     Scenario,
 )
-from dosplan.vehicle import VehicleParameters
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,6 @@ def run_episode(
     predictor: Predictor,
     arm: Arm,
     config: SimulationConfig = SimulationConfig(),
-    vehicle: VehicleParameters = VehicleParameters(),  # noqa: B008 - frozen
     on_failure: Callable[[BaseException], None] = lambda error: None,
 ) -> Episode:
     """Drives one scenario in closed loop.
@@ -96,7 +94,6 @@ def run_episode(
         predictor: Foresees the road users; ``reset`` is called here.
         arm: ``WITHOUT_DOS`` takes the sets off every prediction before the planner sees it.
         config: How the loop runs.
-        vehicle: The ego.
         on_failure: Called with what the planner or the predictor raised, traceback and all.
 
     Returns:
@@ -106,7 +103,7 @@ def run_episode(
     log = _Log(states=[np.array(scenario.task.start)])
     error: str | None = None
     try:
-        end = _drive(scenario, planner, predictor, arm, config, vehicle, log)
+        end = _drive(scenario, planner, predictor, arm, config, log)
     except _PluginFailedError as failure:
         end, error = EpisodeEnd.PLANNER_FAILURE, str(failure)
         on_failure(failure.cause)
@@ -206,11 +203,10 @@ def _drive(
     predictor: Predictor,
     arm: Arm,
     config: SimulationConfig,
-    vehicle: VehicleParameters,
     log: _Log,
 ) -> EpisodeEnd:
     """Drives to the end and writes into ``log``, which stays right when a plug-in raises."""
-    task = scenario.task
+    task, vehicle = scenario.task, scenario.task.vehicle
     with _blame("predictor", predictor):
         if isinstance(predictor, OraclePredictor):
             predictor.reveal(scenario.tracks)

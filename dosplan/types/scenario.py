@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
@@ -18,6 +18,7 @@ from dosplan.types.arrays import (
     ShapeError,
     frozen,
 )
+from dosplan.types.vehicle import VehicleParameters
 
 STEP_SECONDS: Final = 0.1
 
@@ -194,8 +195,8 @@ class Route:
         frozen(self, "arclength", np.float64, (None,), finite=True)
         p = len(self.arclength)
         frozen(self, "path", np.float64, (p, 2), finite=True)
-        for field in ("heading", "curvature", "left", "right", "outer_left", "outer_right"):
-            frozen(self, field, np.float64, (p,), finite=True)
+        for name in ("heading", "curvature", "left", "right", "outer_left", "outer_right"):
+            frozen(self, name, np.float64, (p,), finite=True)
         frozen(self, "speed_limit", np.float64, (p,))
         if p < 2 or np.any(np.diff(self.arclength) <= 0):
             raise ShapeError("Route.arclength needs two points and must increase strictly")
@@ -213,6 +214,7 @@ class PlanningTask:
         goals: Alternative goals; one is enough.
         final_step: Last step at which a goal can still be reached.
         route: The way to the goal.
+        vehicle: The ego's size and limits.
     """
 
     scenario_id: str
@@ -222,6 +224,7 @@ class PlanningTask:
     goals: tuple[GoalState, ...]
     final_step: int
     route: Route
+    vehicle: VehicleParameters = field(default_factory=VehicleParameters)
 
     def __post_init__(self) -> None:
         frozen(self, "start", np.float64, (EGO_SIZE,), finite=True)

@@ -41,7 +41,7 @@ def recorded_episode(scenario: Scenario, drive: FloatArray) -> Episode:
 
 def _driven(scenario: Scenario, planner: Planner, predictor: Predictor) -> Score:
     episode = run_episode(scenario, planner, predictor, Arm.WITHOUT_DOS)
-    return score(scenario, episode, VEHICLE)
+    return score(scenario, episode)
 
 
 def collision_of_constant_speed(path: Path, drive: FloatArray, hard: bool) -> str | None:
@@ -58,7 +58,7 @@ def collision_of_constant_speed(path: Path, drive: FloatArray, hard: bool) -> st
         the road, constant speed hits nobody or at once, or braking to a stop succeeds.
     """
     scenario = load_scenario(path)
-    recorded = score(scenario, recorded_episode(scenario, drive), VEHICLE)
+    recorded = score(scenario, recorded_episode(scenario, drive))
     if recorded.outcome is not Outcome.SUCCESS:
         return None
     if outside(drive[:, :3], np.add(VEHICLE.size, 2.0 * KERB), scenario.road_map).any():

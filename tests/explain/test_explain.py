@@ -100,8 +100,8 @@ def explained(
     """Drives, scores, records and explains."""
     episode = run_episode(scenario, planner or Coast(), predictor or Discs(1.0), arm)
     path = tmp_path / "episode.npz"
-    path.write_bytes(pack_recording(episode, VEHICLE))
-    return explain_episode(scenario, score(scenario, episode, VEHICLE), load_recording(path))
+    path.write_bytes(pack_recording(scenario, episode))
+    return explain_episode(scenario, score(scenario, episode), load_recording(path))
 
 
 def braking_car(steps: int = 61) -> Tracks:
@@ -428,7 +428,7 @@ def test_telemetry_reaches_the_row_over_the_drive_alone() -> None:
     }
     scenario = straight_scenario(braking_car(), velocity=15.0)
     episode = run_episode(scenario, Coast(reports), Discs(1.0), Arm.WITH_DOS)
-    row = score(scenario, episode, VEHICLE)
+    row = score(scenario, episode)
     assert row.steps == 25  # Cycles 0 to 24.
     assert (row.iterations_p50, row.iterations_max) == (12.0, 24)
     assert (row.max_slack, row.max_road_slack) == pytest.approx((0.24, 0.024))
@@ -459,9 +459,10 @@ def test_rows_of_earlier_versions_are_read(tmp_path: Path) -> None:
 
 def test_what_the_solver_said_survives_the_episode_file(tmp_path: Path) -> None:
     reports = {0: SolveReport(road_slack=0.5, active_ids=(4, 2)), 2: SolveReport(active_ids=(9,))}
-    episode = run_episode(straight_scenario(final_step=4), Coast(reports), Discs(1.0), Arm.WITH_DOS)
+    scenario = straight_scenario(final_step=4)
+    episode = run_episode(scenario, Coast(reports), Discs(1.0), Arm.WITH_DOS)
     path = tmp_path / "e.npz"
-    path.write_bytes(pack_recording(episode, VEHICLE))
+    path.write_bytes(pack_recording(scenario, episode))
     back = load_recording(path)
     assert back.active_ids == ((4, 2), (), (9,), ())
     assert back.road_slack.tolist() == [0.5, 0.0, 0.0, 0.0]
@@ -471,7 +472,7 @@ def test_episode_files_of_earlier_versions_are_read(tmp_path: Path) -> None:
     scenario = straight_scenario(final_step=10)
     episode = run_episode(scenario, Coast(), Discs(1.0), Arm.WITH_DOS)
     path = tmp_path / "e.npz"
-    path.write_bytes(pack_recording(episode, VEHICLE))
+    path.write_bytes(pack_recording(scenario, episode))
     with np.load(path) as file:
         kept: dict[str, Any] = {
             name: file[name]
@@ -482,7 +483,7 @@ def test_episode_files_of_earlier_versions_are_read(tmp_path: Path) -> None:
     back = load_recording(path)
     assert np.isnan(back.road_slack).all()
     assert back.active_ids == ((),) * 10
-    found = explain_episode(scenario, score(scenario, episode, VEHICLE), back)
+    found = explain_episode(scenario, score(scenario, episode), back)
     assert planning_of(found).max_road_slack is None
     assert "road slack was not recorded" in "\n".join(found.lines())
 
@@ -491,8 +492,8 @@ def test_another_scenario_is_refused(tmp_path: Path) -> None:
     scenario = straight_scenario(braking_car(), velocity=15.0)
     episode = run_episode(scenario, Coast(), Discs(1.0), Arm.WITH_DOS)
     path = tmp_path / "e.npz"
-    path.write_bytes(pack_recording(episode, VEHICLE))
-    row, recording = score(scenario, episode, VEHICLE), load_recording(path)
+    path.write_bytes(pack_recording(scenario, episode))
+    row, recording = score(scenario, episode), load_recording(path)
     with pytest.raises(FileError, match="its ego starts elsewhere"):
         explain_episode(straight_scenario(velocity=14.0), row, recording)
     with pytest.raises(FileError, match="does not touch road user 100 at step 25"):

@@ -12,9 +12,8 @@ from dosplan.api import Planner, Predictor
 from dosplan.plugins.registry import create_planner, create_predictor
 from dosplan.results.rows import row_line
 from dosplan.scoring.score import score
-from dosplan.simulation.loop import SimulationConfig, run_episode
+from dosplan.simulation.loop import run_episode
 from dosplan.types import Arm, EpisodeEnd, Scenario
-from dosplan.vehicle import VehicleParameters
 from tests.fuzz.harness import check_message
 
 _STEPS: Final = 4
@@ -42,16 +41,13 @@ def drive(
     """Drives some steps and scores them; a plug-in that fails must say why in one line."""
     end = min(scenario.task.start_step + _STEPS, scenario.task.final_step)
     short = replace(scenario, task=replace(scenario.task, final_step=end))
-    vehicle = VehicleParameters()
     episode = run_episode(
         short,
         planner or _cruise(),
         predictor or _constant_velocity(),
         Arm.WITH_DOS,
-        SimulationConfig(),
-        vehicle,
     )
-    row = score(short, episode, vehicle)
+    row = score(short, episode)
     row_line(row)
     if episode.end is EpisodeEnd.PLANNER_FAILURE:
         check_message(row.error or "")

@@ -9,7 +9,7 @@ import pytest
 
 from dosplan.scoring.score import score
 from dosplan.types import CollisionClass, Outcome
-from tests.golden.scene import VEHICLE, Case, read_cases
+from tests.golden.scene import Case, read_cases
 
 SCENES = sorted((Path(__file__).parent / "scenes").glob("*.toml"))
 CASES = [case for path in SCENES for case in read_cases(path)]
@@ -17,7 +17,7 @@ CASES = [case for path in SCENES for case in read_cases(path)]
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_scene_scores_as_expected(case: Case) -> None:
-    row = asdict(score(case.scenario, case.episode, VEHICLE))
+    row = asdict(score(case.scenario, case.episode))
     expected = {key: None if value == "none" else value for key, value in case.expected.items()}
     have = {key: row[key] for key in expected}
     assert have == pytest.approx(expected)

@@ -84,7 +84,7 @@ def test_published_solutions_score_success() -> None:
         except ScenarioError:
             continue
         start, centres, steering = read_solution(path)
-        row = score(scenario, as_episode(scenario.id, start, centres, steering), VEHICLE)
+        row = score(scenario, as_episode(scenario.id, start, centres, steering))
         scored += 1
         if row.outcome is Outcome.COLLISION and row.collision_step is not None:
             cutting[path.stem] = row.collision_step

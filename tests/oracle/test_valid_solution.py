@@ -86,7 +86,7 @@ def drive(ref: ScenarioRef, planner: str) -> tuple[Score, Drive]:
     scenario = load_scenario(ref)
     predictor = create_predictor("constant-velocity", seed=0)
     episode = run_episode(scenario, create_planner(planner, seed=0), predictor, Arm.WITH_DOS)
-    row = score(scenario, episode, VEHICLE)
+    row = score(scenario, episode)
     return row, Drive(episode.start_step, episode.states, episode.inputs, 1.0)
 
 

@@ -79,9 +79,9 @@ def driven(folder: Path, scenario: Scenario, arm: Arm = Arm.WITH_DOS) -> Take:
     """Drives, scores and records."""
     episode = run_episode(scenario, Coast(), Growing(), arm)
     path = folder / f"{arm}.npz"
-    path.write_bytes(pack_recording(episode, VEHICLE))
-    row = score(scenario, episode, VEHICLE)
-    drive = Drive(scenario, row, load_recording(path), VEHICLE)
+    path.write_bytes(pack_recording(scenario, episode))
+    row = score(scenario, episode)
+    drive = Drive(scenario, row, load_recording(path))
     return Take(ARM_TITLES[arm], ARM_COLOURS[arm], scenario, row, drive)
 
 

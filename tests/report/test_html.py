@@ -34,6 +34,7 @@ from dosplan.scenario.synthetic import steady_tracks
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import FileError, write_json
 from dosplan.types import Arm, EpisodeEnd, FloatArray, Outcome, Score
+from dosplan.vehicle import VehicleParameters
 from tests.support import faulty
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
@@ -219,7 +220,7 @@ def test_changes_have_their_words() -> None:
 def test_an_episode_without_its_scenario_is_the_drive_alone() -> None:
     recording = _recording(Arm.WITH_DOS, np.zeros((2, 2)), np.ones((2, 2)), 0.0)
     row = _row("s", Arm.WITH_DOS, Outcome.GOAL_MISSED)
-    payload = encode_episode(None, [None, Drive(recording, row)])
+    payload = encode_episode(None, [None, Drive(recording, row, VehicleParameters())])
     assert "road" not in payload
     assert payload["sides"][0] is None
     assert len(payload["sides"][1]["x"]) == row.steps + 1

@@ -16,6 +16,7 @@ from dosplan.results.manifest import RunManifest, RunSettings, write_manifest
 from dosplan.results.recording import KEPT_EVERY, NEARBY_METRES, load_recording, pack_recording
 from dosplan.results.rows import append_row, read_rows, read_run, row_line, write_rows
 from dosplan.results.summary import pooled_cycle_ms, summarise
+from dosplan.scenario.synthetic import straight_scenario
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import (
     FileError,
@@ -39,9 +40,8 @@ from dosplan.types import (
     SolveReport,
     SolveStatus,
 )
-from dosplan.vehicle import VehicleParameters
 
-VEHICLE = VehicleParameters()
+SCENARIO = straight_scenario()
 
 
 def _row(outcome: Outcome, velocity: float = 10.0, **changes: object) -> Score:
@@ -227,7 +227,7 @@ def test_cycle_times_are_pooled_over_cycles_not_over_episodes(tmp_path: Path) ->
     long, short = _episode(cycles=6), replace(_episode(cycles=2), scenario_id="short")
     for episode in (long, short):
         path = folder.recording(episode.scenario_id, episode.arm)
-        write_bytes(path, pack_recording(episode, VEHICLE))
+        write_bytes(path, pack_recording(SCENARIO, episode))
     rows = [
         _row(Outcome.SUCCESS, scenario=long.scenario_id, cycle_ms_p50=1.0),
         _row(Outcome.SUCCESS, scenario="short", cycle_ms_p50=1.0),
@@ -244,7 +244,7 @@ def test_cycle_times_are_pooled_over_cycles_not_over_episodes(tmp_path: Path) ->
 def test_a_recording_gives_the_episode_back(tmp_path: Path) -> None:
     episode = _episode()
     path = RunFolder(tmp_path).recording(episode.scenario_id, episode.arm)
-    write_bytes(path, pack_recording(episode, VEHICLE))
+    write_bytes(path, pack_recording(SCENARIO, episode))
     assert path.name == "ZAM_Test-1_1_T-1@7.with_dos.npz"
     back = load_recording(path)
 
@@ -262,7 +262,7 @@ def test_a_recording_gives_the_episode_back(tmp_path: Path) -> None:
     # Plans and sets are off by half a grain, 1/128 m, at most, however far from the frame's origin.
     for cycle, plan in enumerate(episode.plans):
         planned = back.plan_centres[cycle]
-        expected = VEHICLE.centre(plan.states)
+        expected = SCENARIO.task.vehicle.centre(plan.states)
         assert np.abs(planned[: len(expected)] - expected).max() <= 1.0 / 128.0 + 1e-4
         assert np.isnan(planned[len(expected) :]).all()
     assert back.set_offsets.tolist() == [5, 10]
@@ -279,7 +279,9 @@ def test_sets_far_from_the_ego_are_left_out(tmp_path: Path, distance: float, kep
     episode = _episode(cycles=1, users=1)
     away = np.array([[0.0, NEARBY_METRES + distance]])
     ahead = _sets(episode.states[0, :2] + away, 12)
-    write_bytes(tmp_path / "e.npz", pack_recording(replace(episode, occupancies=(ahead,)), VEHICLE))
+    write_bytes(
+        tmp_path / "e.npz", pack_recording(SCENARIO, replace(episode, occupancies=(ahead,)))
+    )
     assert (len(load_recording(tmp_path / "e.npz").set_ids) == 1) is kept
 
 
@@ -291,7 +293,7 @@ def test_sets_that_are_not_valid_come_back_as_nan(tmp_path: Path) -> None:
     valid[1] = False  # Never there: left out.
     hidden = replace(sets, valid=valid)
     write_bytes(
-        tmp_path / "e.npz", pack_recording(replace(episode, occupancies=(hidden,)), VEHICLE)
+        tmp_path / "e.npz", pack_recording(SCENARIO, replace(episode, occupancies=(hidden,)))
     )
     back = load_recording(tmp_path / "e.npz")
     assert back.set_ids.tolist() == [10]
@@ -301,7 +303,7 @@ def test_sets_that_are_not_valid_come_back_as_nan(tmp_path: Path) -> None:
 
 
 def test_an_episode_without_a_cycle_is_kept(tmp_path: Path) -> None:
-    write_bytes(tmp_path / "e.npz", pack_recording(_episode(cycles=0), VEHICLE))
+    write_bytes(tmp_path / "e.npz", pack_recording(SCENARIO, _episode(cycles=0)))
     back = load_recording(tmp_path / "e.npz")
     assert (len(back.states), len(back.inputs), len(back.cycle_ms), back.status) == (1, 0, 0, ())
 
@@ -310,7 +312,7 @@ def test_a_recording_of_a_busy_scene_is_small(tmp_path: Path) -> None:
     # 10 s of planning at every step among 30 road users near by, all predicted anew each time.
     episode = _episode(cycles=100, users=30, horizon=120, every=1)
     path = tmp_path / "e.npz"
-    write_bytes(path, pack_recording(episode, VEHICLE))
+    write_bytes(path, pack_recording(SCENARIO, episode))
     plain = sum(o.centre.nbytes + o.semi_axes.nbytes + o.angle.nbytes for o in episode.occupancies)
     assert path.stat().st_size < plain / 20
 
@@ -382,7 +384,7 @@ def test_a_long_id_has_a_file_of_its_own(tmp_path: Path) -> None:
     paths = [folder.recording(name, Arm.WITH_DOS) for name in (long, long + "x", "ä" * 33)]
     assert len(set(paths)) == 3
     for path in paths:
-        write_bytes(path, pack_recording(_episode(cycles=1), VEHICLE))
+        write_bytes(path, pack_recording(SCENARIO, _episode(cycles=1)))
     assert "-" not in paths[2].name  # 198 characters are short enough.
 
 

@@ -19,6 +19,7 @@ import shapely
 
 from dosplan.scenario import ScenarioRef, cache, find_scenarios, load_scenario
 from dosplan.scenario.cache import pack_scenario, unpack_scenario
+from dosplan.scenario.synthetic import straight_scenario
 from dosplan.system.folders import cache_folder
 from dosplan.types import Scenario
 from tests.support.scenes import Goal, Problem, User, circle, driving, polygon, write_scenario_xml
@@ -94,6 +95,13 @@ def test_every_field_of_a_suite_scenario_comes_back(row: dict[str, str]) -> None
     assert_equal(unpack_scenario(pack_scenario(scenario)), scenario)
 
 
+def test_another_vehicle_comes_back() -> None:
+    scenario = straight_scenario()
+    van = replace(scenario.task.vehicle, length=6.0, max_steering=0.6)
+    scenario = replace(scenario, task=replace(scenario.task, vehicle=van))
+    assert unpack_scenario(pack_scenario(scenario)).task.vehicle == van
+
+
 def test_a_hit_parses_nothing(scene: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     ref = find_scenarios(scene)[0]
     load_scenario(ref, cached=True)
@@ -135,7 +143,7 @@ def test_an_entry_follows_from_content_name_and_code(
 
 @pytest.mark.parametrize(
     "module",
-    ["geometry/plane.py", "scenario/commonroad/reader.py", "types/arrays.py", "vehicle.py"],
+    ["geometry/plane.py", "scenario/commonroad/reader.py", "types/arrays.py", "types/vehicle.py"],
 )
 def test_an_entry_follows_from_the_code_of_every_part(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str

@@ -57,6 +57,7 @@ def route_to(
         velocity=velocity,
         goals=(GoalState(0, round(10 * seconds), goal, heading),),
         seconds=seconds,
+        vehicle=VEHICLE,
     )
 
 
@@ -121,6 +122,7 @@ def test_oncoming_lane_is_not_free_but_lanes_in_the_same_direction_are() -> None
         velocity=10.0,
         goals=(GoalState(0, 50),),
         seconds=5.0,
+        vehicle=VEHICLE,
         two_way=frozenset({102}),
     )
     np.testing.assert_allclose(free.left[inside], 8.75, atol=1e-6)

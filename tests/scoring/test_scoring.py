@@ -75,7 +75,7 @@ NOBODY = Occupancy(
 
 
 def test_a_clean_drive() -> None:
-    row = score(straight_scenario(), episode(holding(50, 1.0)), VEHICLE)
+    row = score(straight_scenario(), episode(holding(50, 1.0)))
     # 10 t + t^2 / 2 after 5 s are 62.5 m, so 12.5 m/s on average.
     assert row.outcome is Outcome.SUCCESS
     assert row.goal_step == 50
@@ -91,7 +91,7 @@ def test_metrics_end_with_the_first_contact() -> None:
     # at 10 m/s is 2.55 s. The full braking afterwards is not driven any more.
     x = VEHICLE.rear_to_centre + 30.0
     scenario = straight_scenario(steady_tracks([[x, 0.0, 0.0, 0.0]]))
-    row = score(scenario, episode(np.concatenate([holding(26), holding(10, -9.0)])), VEHICLE)
+    row = score(scenario, episode(np.concatenate([holding(26), holding(10, -9.0)])))
     assert row.outcome is Outcome.COLLISION
     assert row.collision_class is CollisionClass.STOPPED_TRACK
     assert row.collision_with == 100
@@ -104,6 +104,16 @@ def test_metrics_end_with_the_first_contact() -> None:
     assert not row.safe
 
 
+def test_the_tasks_own_vehicle_is_scored() -> None:
+    # Its front is 20.5 m ahead of the start's rear axle after 20 steps; a van's is 1 m further.
+    ahead = VEHICLE.rear_to_centre + 0.5 * VEHICLE.length + 20.5 + 2.25
+    scenario = straight_scenario(steady_tracks([[ahead, 0.0, 0.0, 0.0]]))
+    van = replace(VEHICLE, length=VEHICLE.length + 2.0)
+    assert score(scenario, episode(holding(20))).collision_step is None
+    scenario = replace(scenario, task=replace(scenario.task, vehicle=van))
+    assert score(scenario, episode(holding(20))).collision_step == 20
+
+
 def test_a_collision_that_the_ego_is_to_blame_for_is_reported_before_an_earlier_one() -> None:
     # Both touch on the way to step 1. A car at 30 m/s from behind (2 m per step relative, gap
     # 0.2 m: at a tenth of the step), and one that stands ahead (1 m per step, gap 0.8 m).
@@ -111,11 +121,11 @@ def test_a_collision_that_the_ego_is_to_blame_for_is_reported_before_an_earlier_
     reach = 2.254 + 2.25
     rear = [centre - reach - 0.2, 0.0, 0.0, 30.0]
     ahead = [centre + reach + 0.8, 0.0, 0.0, 0.0]
-    both = score(straight_scenario(steady_tracks([rear, ahead])), episode(holding(9)), VEHICLE)
+    both = score(straight_scenario(steady_tracks([rear, ahead])), episode(holding(9)))
     assert (both.collision_with, both.collision_class) == (101, CollisionClass.STOPPED_TRACK)
     assert both.at_fault
     # With one that drives off ahead, only the rear one is left, and it is not to blame.
-    alone = score(straight_scenario(steady_tracks([rear])), episode(holding(9)), VEHICLE)
+    alone = score(straight_scenario(steady_tracks([rear])), episode(holding(9)))
     assert (alone.collision_with, alone.collision_class) == (100, CollisionClass.ACTIVE_REAR)
     assert not alone.at_fault
     assert alone.collision_step == both.collision_step == 1
@@ -125,7 +135,7 @@ def test_the_earliest_is_reported_where_nobody_is_to_blame() -> None:
     # Two motorcycles' worth of cars from behind: gaps of 1.5 and 0.5 m at 2 m per step.
     back = VEHICLE.rear_to_centre - 2.254 - 2.25
     rear = [[back - 1.5, 0.9, 0.0, 30.0], [back - 0.5, -0.9, 0.0, 30.0]]
-    row = score(straight_scenario(steady_tracks(rear)), episode(holding(9)), VEHICLE)
+    row = score(straight_scenario(steady_tracks(rear)), episode(holding(9)))
     assert row.collision_with == 101
     assert not row.at_fault
 
@@ -139,12 +149,12 @@ def test_cycle_times_and_fallbacks() -> None:
         occupancies=(NOBODY,) * 3,
         cycle_steps=np.arange(3),
     )
-    row = score(straight_scenario(), drive_, VEHICLE)
+    row = score(straight_scenario(), drive_)
     # Cycles of 20, 30 and 100 ms; the 99th percentile is 0.98 of the way from 30 to 100.
     assert row.cycle_ms_p50 == pytest.approx(30.0)
     assert row.cycle_ms_p99 == pytest.approx(98.6)
     assert row.fallback_cycles == 2
-    empty = score(straight_scenario(), episode(holding(50)), VEHICLE)
+    empty = score(straight_scenario(), episode(holding(50)))
     assert empty.cycle_ms_p50 is None
     assert empty.cycle_ms_p99 is None
 
@@ -162,18 +172,18 @@ def test_cycles_after_a_contact_and_what_failed_then_are_not_of_the_drive() -> N
         cycle_steps=np.arange(30),
         error="planner x: ValueError",
     )
-    hit = score(straight_scenario(steady_tracks([[x, 0.0, 0.0, 0.0]])), drive_, VEHICLE)
+    hit = score(straight_scenario(steady_tracks([[x, 0.0, 0.0, 0.0]])), drive_)
     assert hit.collision_step == 26
     assert (hit.fallback_cycles, hit.error) == (1, None)
     assert hit.cycle_ms_p99 == pytest.approx(10.0)
-    free = score(straight_scenario(), drive_, VEHICLE)
+    free = score(straight_scenario(), drive_)
     assert (free.fallback_cycles, free.error) == (5, "planner x: ValueError")
     assert free.cycle_ms_p99 == pytest.approx(5000.0)
 
 
 def test_an_error_is_kept() -> None:
     failed = replace(episode(holding(5), EpisodeEnd.PLANNER_FAILURE), error="no plan")
-    row = score(straight_scenario(), failed, VEHICLE)
+    row = score(straight_scenario(), failed)
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert row.error == "no plan"
     assert row.steps == 5
@@ -188,7 +198,6 @@ def test_the_row_of_an_episode_that_never_was() -> None:
     at_once = score(
         straight_scenario(),
         replace(episode(holding(0), EpisodeEnd.PLANNER_FAILURE), error="x"),
-        VEHICLE,
     )
     assert replace(at_once, error="cannot be read", scenario="DEU_A-1", arm=Arm.WITH_DOS) == row
 
@@ -266,9 +275,9 @@ def test_what_every_row_satisfies(
     inputs[:, 1] = np.maximum(acceleration, -3.0)
     driven = episode(inputs, end)
     before = driven.states.copy()
-    row = score(scenario, driven, VEHICLE)
+    row = score(scenario, driven)
     assert np.array_equal(before, driven.states)
-    assert row == score(scenario, driven, VEHICLE)
+    assert row == score(scenario, driven)
     assert row.safe == (row.outcome in (Outcome.SUCCESS, Outcome.GOAL_MISSED))
     assert (row.outcome is Outcome.COLLISION) == (row.collision_step is not None)
     assert (row.collision_class is None) == (row.collision_step is None)

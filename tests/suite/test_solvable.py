@@ -42,7 +42,7 @@ def test_recorded_drive_succeeds(row: Row) -> None:
     # The first state is the planning problem's; 0.6 mm and 0.06 mrad is rounding.
     start = VEHICLE.poses(scenario.task.start[None])[0]
     np.testing.assert_allclose(drive[0, :2], start[:2], atol=1.2e-3)
-    assert score(scenario, recorded_episode(scenario, drive), VEHICLE).outcome == SUCCESS
+    assert score(scenario, recorded_episode(scenario, drive)).outcome == SUCCESS
     assert np.abs(np.diff(drive[:, 3])).max() <= 9.0 * scenario.dt + 2e-3
 
 

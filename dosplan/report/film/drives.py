@@ -22,7 +22,6 @@ from dosplan.scenario import ScenarioRef, load_scenario
 from dosplan.scoring.collision import shape_at
 from dosplan.system.files import FileError, write_bytes
 from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Scenario, Score
-from dosplan.vehicle import VehicleParameters
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class Take:
         if self.drive is not None:
             return self.drive.ego
         start = self.scenario.task.start[None]
-        return np.column_stack([VehicleParameters().poses(start), start[:, EGO_VELOCITY]])
+        return np.column_stack([self.scenario.task.vehicle.poses(start), start[:, EGO_VELOCITY]])
 
     @property
     def verdict(self) -> str:
@@ -94,7 +93,7 @@ class Take:
         # Where they are in the picture of that step: a little past the touch, perhaps.
         tracks = self.scenario.tracks
         other = shape_at(tracks, contact.user, tracks.states[contact.user, contact.step])
-        ego = shapely.Polygon(rectangle_corners(pose, VehicleParameters().size))
+        ego = shapely.Polygon(rectangle_corners(pose, self.scenario.task.vehicle.size))
         return np.asarray(shapely.centroid(shapely.shortest_line(ego, other)).coords[0])
 
     def seconds(self, step: int) -> float:
@@ -125,12 +124,11 @@ def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | No
     found = find_recorded(run, scenario, arms, source)
     if found.scenario is None:
         raise FileError(f"nothing was driven of {scenario} in {run}: {found.rows[0].error}")
-    vehicle = VehicleParameters()
     takes = {
         row.arm: _take(
             found.scenario,
             row,
-            None if recording is None else Drive(found.scenario, row, recording, vehicle),
+            None if recording is None else Drive(found.scenario, row, recording),
         )
         for row, recording in zip(found.rows, found.recordings, strict=True)
     }
@@ -158,14 +156,14 @@ def takes_of_drive(
         ScenarioError: The scenario cannot be read.
     """
     driver, foreteller = create_planner(planner, seed), create_predictor(predictor, seed)
-    scenario, vehicle = load_scenario(ref), VehicleParameters()
+    scenario = load_scenario(ref)
     takes = []
     with TemporaryDirectory() as folder:
         for arm in (arm for arm in ARMS_SIDE_BY_SIDE if arm in arms):
             driven = run_episode(scenario, driver, foreteller, arm)
             path = Path(folder) / f"{arm}.npz"
-            write_bytes(path, pack_recording(driven.episode, vehicle))
-            drive = Drive(scenario, driven.score, load_recording(path), vehicle)
+            write_bytes(path, pack_recording(scenario, driven.episode))
+            drive = Drive(scenario, driven.score, load_recording(path))
             takes.append(_take(scenario, driven.score, drive))
     return takes, _title(ref.id, driver.name, foreteller.name)
 

@@ -17,7 +17,6 @@ from dosplan.report.film.framing import Framing
 from dosplan.report.film.layers import INK, Bodies, Sets, Users, on_scene
 from dosplan.report.film.scene import KIND_COLOURS, draw_map, draw_task
 from dosplan.types import FloatArray, Outcome, RoadUserKind
-from dosplan.vehicle import VehicleParameters
 
 _GREY: Final = "#b4bac2"
 _OWN: Final = 0.4  # Road users are toned down, so that the ego stands out.
@@ -105,7 +104,7 @@ class Panel:
         decided = take.row is not None and now >= take.moment
         struck = take.row.collision_with if take.row is not None and decided else None
         self._users.show_step(now, {} if struck is None else {struck: _BAD})
-        self._ego.show(pose[None], np.array([VehicleParameters().size]), [take.colour])
+        self._ego.show(pose[None], np.array([take.scenario.task.vehicle.size]), [take.colour])
         self._driven.set_data(*take.ego[: index + 1, :2].T)
         self._show_cycle(now, pose)
         speed = f"     {velocity:.1f} m/s" if take.row is not None else ""

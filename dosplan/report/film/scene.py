@@ -16,7 +16,6 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from dosplan.report.film.layers import INK, Bodies, Users, on_scene
 from dosplan.types import Arm, FloatArray, GoalState, RoadUserKind, Scenario
-from dosplan.vehicle import VehicleParameters
 
 KIND_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
     {
@@ -137,14 +136,14 @@ def _draw_trails(axes: Axes, scenario: Scenario, step: int) -> None:
 
 
 def _draw_ego(axes: Axes, scenario: Scenario) -> None:
-    vehicle = VehicleParameters()
+    vehicle = scenario.task.vehicle
     poses = vehicle.poses(scenario.task.start[None])
     Bodies(axes, zorder=8, line=0.6).show(poses, np.array([vehicle.size]), [EGO_COLOUR])
 
 
 def _set_view(axes: Axes, scenario: Scenario) -> None:
     task = scenario.task
-    points = [VehicleParameters().centre(task.start)[None], *map(_corners, task.goals)]
+    points = [task.vehicle.centre(task.start)[None], *map(_corners, task.goals)]
     low, high = np.min(np.vstack(points), axis=0), np.max(np.vstack(points), axis=0)
     middle, reach = 0.5 * (low + high), 0.5 * float(np.max(high - low)) + _MARGIN
     left, bottom = middle - reach

@@ -125,8 +125,10 @@ def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
     scene = pairing.scenes.load(scenario) if examined else None
     if scene is not None and not all(is_of(r, scene) for r in recordings if r is not None):
         scene = None
+    # The vehicle of every scenario that dosplan reads, should the file be gone.
+    vehicle = VehicleParameters() if scene is None else scene.task.vehicle
     drives = [
-        None if recording is None else Drive(recording, row)
+        None if recording is None else Drive(recording, row, vehicle)
         for recording, row in zip(recordings, rows, strict=True)
     ]
     met = tuple(None if drive is None or scene is None else _met(drive, scene) for drive in drives)
@@ -177,7 +179,7 @@ def _why(row: Score, met: SetsMet | None, scene: Scenario | None, drive: Drive |
 def _missed(scene: Scenario, drive: Drive) -> str:
     """By how much the goal was missed that the drive came nearest to."""
     try:
-        scored = ScoredDrive(scene, drive.row, drive.recording, VehicleParameters())
+        scored = ScoredDrive(scene, drive.row, drive.recording)
     except FileError:  # Read anew with other rounding: what is told would be of another drive.
         return ""
     nearest = min(goal_facts(scored), key=lambda facts: (facts.distance, abs(facts.late)))

@@ -48,7 +48,6 @@ PLAN_STRIDE: Final = 5
 
 KINDS: Final = tuple(RoadUserKind)
 _TOLERANCE: Final = 0.1  # m; of a simplified outline.
-_VEHICLE: Final = VehicleParameters()
 
 
 @dataclass(frozen=True)
@@ -58,10 +57,12 @@ class Drive:
     Attributes:
         recording: The episode.
         row: Its row.
+        vehicle: The ego.
     """
 
     recording: Recording
     row: Score
+    vehicle: VehicleParameters
 
     @property
     def start(self) -> int:
@@ -71,7 +72,7 @@ class Drive:
     @property
     def poses(self) -> FloatArray:
         """(K + 1, 3) poses of the ego's centre, x, y, m, and heading, rad."""
-        return _VEHICLE.poses(self.recording.states[: self.row.steps + 1])
+        return self.vehicle.poses(self.recording.states[: self.row.steps + 1])
 
     @property
     def centres(self) -> FloatArray:
@@ -101,7 +102,7 @@ def encode_episode(scene: Scenario | None, drives: Sequence[Drive | None]) -> di
     payload: dict[str, Any] = {
         "dt": STEP_SECONDS,
         "first": min(drive.start for drive in driven),
-        "ego": [_VEHICLE.length, _VEHICLE.width],
+        "ego": list(driven[0].vehicle.size),
     }
     near: IntArray = np.empty(0, dtype=np.int64)
     if scene is not None:

@@ -122,6 +122,7 @@ def _scenario(
         velocity=float(start[EGO_VELOCITY]),
         goals=goals,
         seconds=(final_step - first_step) * STEP_SECONDS,
+        vehicle=vehicle,
         two_way=document.two_way,
     )
     return Scenario(
@@ -139,6 +140,7 @@ def _scenario(
             goals=goals,
             final_step=final_step,
             route=route,
+            vehicle=vehicle,
         ),
         tags=frozenset(tag.value for tag in source.tags or ()),
     )

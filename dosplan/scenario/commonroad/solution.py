@@ -27,6 +27,7 @@ from dosplan.vehicle import VehicleParameters
 
 MODEL: Final = "KS2"
 COST_FUNCTION: Final = "WX1"
+_VEHICLE: Final = VehicleParameters()  # Vehicle 2, which MODEL names.
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,7 @@ class Drive:
     seconds: float
 
 
-def solution_xml(
-    path: Path,
-    drives: Mapping[int | None, Drive],
-    date: datetime,
-    vehicle: VehicleParameters = VehicleParameters(),  # noqa: B008 - frozen
-) -> bytes:
+def solution_xml(path: Path, drives: Mapping[int | None, Drive], date: datetime) -> bytes:
     """Writes what was driven in a scenario file as a CommonRoad solution.
 
     The states are those at the file's own steps; between two steps of 0.1 s they follow from the
@@ -62,7 +58,6 @@ def solution_xml(
         drives: The drive of each planning problem that has one, by its id; None stands for the
             only problem of a file that holds one.
         date: When it was driven.
-        vehicle: The ego.
 
     Returns:
         The solution as XML.
@@ -95,7 +90,7 @@ def solution_xml(
     if seconds := sum(drive.seconds for _, drive in driven):
         root.set("computation_time", f"{seconds:.3f}")
     for name, drive in driven:
-        root.append(_trajectory(name, drive, resampling, vehicle))
+        root.append(_trajectory(name, drive, resampling))
     ElementTree.indent(root)
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
@@ -104,13 +99,13 @@ def _listed(name: str, count: int) -> str:
     return name if count == 1 else f"[{','.join([name] * count)}]"
 
 
-def _trajectory(
-    problem: int, drive: Drive, resampling: Resampling, vehicle: VehicleParameters
-) -> ElementTree.Element:
+def _trajectory(problem: int, drive: Drive, resampling: Resampling) -> ElementTree.Element:
     element = ElementTree.Element("ksTrajectory", planningProblem=str(problem))
-    states = _at_file_steps(drive, resampling, vehicle)
+    states = _at_file_steps(drive, resampling)
     first = drive.start_step * resampling.every // resampling.times
-    for step, (state, centre) in enumerate(zip(states, vehicle.centre(states), strict=True), first):
+    for step, (state, centre) in enumerate(
+        zip(states, _VEHICLE.centre(states), strict=True), first
+    ):
         row = ElementTree.SubElement(element, "ksState")
         for tag, value in (
             ("x", centre[0]),
@@ -124,11 +119,11 @@ def _trajectory(
     return element
 
 
-def _at_file_steps(drive: Drive, resampling: Resampling, vehicle: VehicleParameters) -> FloatArray:
+def _at_file_steps(drive: Drive, resampling: Resampling) -> FloatArray:
     """(K', 5) states at the steps of the file."""
     shares = np.arange(1, resampling.every) / resampling.every
     between = [
-        vehicle.step(drive.states[:-1], drive.inputs, share * STEP_SECONDS) for share in shares
+        _VEHICLE.step(drive.states[:-1], drive.inputs, share * STEP_SECONDS) for share in shares
     ]
     rows = np.stack([drive.states[:-1], *between], axis=1).reshape(-1, drive.states.shape[1])
     return np.concatenate([rows, drive.states[-1:]])[:: resampling.times]

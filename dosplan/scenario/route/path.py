@@ -12,7 +12,6 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 
 from dosplan.types import FloatArray, Lanelet
-from dosplan.vehicle import VehicleParameters
 
 SPACING: Final = 0.5
 """Distance between path points, m."""
@@ -63,7 +62,7 @@ def raw_path(
 
 
 def finished_path(
-    raw: FloatArray, clearance: FloatArray
+    raw: FloatArray, clearance: FloatArray, width: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Smooths a path without leaving the corridor.
 
@@ -75,11 +74,12 @@ def finished_path(
     Args:
         raw: (P, 2) points ``SPACING`` apart, m.
         clearance: (P,) distance of each to the corridor's edge, m.
+        width: Of the ego, m.
 
     Returns:
         (Q, 2) points ``SPACING`` apart, m; (Q,) heading, rad, continuous; (Q,) curvature, 1/m.
     """
-    room = clearance - 0.5 * VehicleParameters().width - MARGIN
+    room = clearance - 0.5 * width - MARGIN
     allowed = np.where(clearance < 0.0, _DEVIATION[1], np.clip(room, *_DEVIATION))
     weight = np.ones(len(raw))
     for _ in range(_PASSES):

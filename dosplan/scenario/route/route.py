@@ -16,6 +16,7 @@ from dosplan.geometry import lanelet_polygon, wrap_angle
 from dosplan.scenario.route.corridor import Corridor
 from dosplan.scenario.route.path import BEYOND, SPACING, finished_path, raw_path
 from dosplan.types import FloatArray, GoalState, Lanelet, RoadMap, Route
+from dosplan.vehicle import VehicleParameters
 
 CHANGE_COST: Final = 12.0
 """What a lane change costs beside the metres driven, m."""
@@ -147,6 +148,7 @@ def build_route(
     velocity: float,
     goals: Sequence[GoalState],
     seconds: float,
+    vehicle: VehicleParameters,
     two_way: frozenset[int] = frozenset(),
 ) -> Route:
     """The way from the ego's start to the goal and on, as far as the episode can drive.
@@ -161,6 +163,7 @@ def build_route(
         velocity: Of the ego, m/s.
         goals: Alternative goals.
         seconds: Length of the episode, s.
+        vehicle: The ego.
         two_way: Lanelets that may be driven against their direction.
 
     Returns:
@@ -184,7 +187,7 @@ def build_route(
     corridor = Corridor.along(
         raw, road_map, lanes.near(LineString(raw), Corridor.WIDTH), frozenset(ids) | two_way
     )
-    path, path_heading, curvature = finished_path(raw, corridor.clearance(raw))
+    path, path_heading, curvature = finished_path(raw, corridor.clearance(raw), vehicle.width)
     left, right = corridor.bounds(path, path_heading)
     outer_left, outer_right = Corridor.of_area(path, road_map).bounds(path, path_heading)
     return Route(

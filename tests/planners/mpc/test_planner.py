@@ -60,7 +60,7 @@ def test_scene_is_solved(
     users: Sequence[Sequence[float]], velocity: float, goal: GoalState, arm: Arm
 ) -> None:
     scenario, episode = drive(users, velocity, [goal], arm)
-    row = score(scenario, episode, VEHICLE)
+    row = score(scenario, episode)
     assert row.outcome is Outcome.SUCCESS, row
     assert row.fallback_cycles == 0
 
@@ -70,7 +70,7 @@ def test_slow_leader_is_passed_where_the_sets_allow_it(arm: Arm) -> None:
     """Two lanes of 3.5 m: room to pass a car, not a car whose set has grown to metres."""
     goal = GoalState(50, 60, box(55, -2, 90, 5))
     scenario, episode = drive([[30.0, 0.0, 0.0, 4.0]], 12.0, [goal], arm)
-    row = score(scenario, episode, VEHICLE)
+    row = score(scenario, episode)
     assert row.safe
     if arm is Arm.WITHOUT_DOS:
         assert row.outcome is Outcome.SUCCESS
@@ -96,7 +96,7 @@ def test_fallback_is_declared_and_drives_on() -> None:
         for k, u in enumerate(plan.inputs):
             state = VEHICLE.step(state, u, 0.1)
             np.testing.assert_allclose(state, plan.states[k + 1], atol=1e-9)
-    assert score(scenario, episode, VEHICLE).outcome is Outcome.SUCCESS
+    assert score(scenario, episode).outcome is Outcome.SUCCESS
 
 
 def test_short_sets_are_a_named_failure() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from dosplan.explain.drive import Drive
-from dosplan.geometry import lanelet_polygon, rectangle_corners, to_body
+from dosplan.geometry import ReferencePath, lanelet_polygon, rectangle_corners, to_body
 from dosplan.types import EGO_STEERING, EGO_VELOCITY, FloatArray, Route
 
 BEND: Final = 0.01
@@ -148,10 +148,7 @@ def _part(point: FloatArray, length: float) -> str:
 
 def _beside(route: Route, place: FloatArray) -> tuple[float, float, float, float]:
     """Curvature, 1/m, offset of a place, m, and free road to the left and right, m."""
-    path = shapely.LineString(route.path)
-    located = shapely.line_locate_point(path, shapely.Point(place))
-    # The table's arc lengths and those of the line through its points differ by rounding.
-    index = int(np.argmin(np.abs(route.arclength - route.arclength[0] - located)))
+    index = int(np.argmin(np.abs(route.arclength - ReferencePath.of(route).locate(place))))
     heading = route.heading[index]
     aside = place - route.path[index]
     offset = float(np.cos(heading) * aside[1] - np.sin(heading) * aside[0])

@@ -1,5 +1,15 @@
-"""Geometry of the plane, and the goal's regions."""
+"""Geometry of the plane, paths in it, and the goal's regions."""
 
+from dosplan.geometry.path import (
+    PATH_CURVATURE,
+    PATH_HEADING,
+    PATH_SIZE,
+    PATH_X,
+    PATH_Y,
+    EvenPath,
+    ReferencePath,
+    braking_envelope,
+)
 from dosplan.geometry.plane import (
     areas,
     lanelet_cells,
@@ -11,7 +21,15 @@ from dosplan.geometry.plane import (
 )
 
 __all__ = [
+    "PATH_CURVATURE",
+    "PATH_HEADING",
+    "PATH_SIZE",
+    "PATH_X",
+    "PATH_Y",
+    "EvenPath",
+    "ReferencePath",
     "areas",
+    "braking_envelope",
     "lanelet_cells",
     "lanelet_polygon",
     "rectangle_corners",

@@ -46,9 +46,8 @@ from dataclasses import asdict
 from typing import Final
 
 import numpy as np
-import shapely
 
-from dosplan.geometry import wrap_angle
+from dosplan.geometry import ReferencePath, wrap_angle
 from dosplan.geometry.goal import goal_reached
 from dosplan.scoring.bounds import outside
 from dosplan.scoring.collision import first_contacts, overlap_window
@@ -258,8 +257,7 @@ def _mean_velocity(states: FloatArray) -> float:
 
 
 def _progress(route: Route, ego: FloatArray) -> float:
-    path = shapely.LineString(route.path)
-    first, last = shapely.line_locate_point(path, shapely.points(ego[[0, -1], :2]))
+    first, last = ReferencePath.of(route).locate(ego[[0, -1], :2])
     return float(last - first)
 
 

@@ -7,7 +7,7 @@ from typing import ClassVar
 from dosplan.api import Planner
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
 from dosplan.vehicle import VehicleParameters
-from dosplan_baseline.tracking import ReferencePath, roll_out
+from dosplan_baseline.tracking import extended_path, roll_out
 
 
 class ConstantAccelerationPlanner(Planner):
@@ -27,7 +27,7 @@ class ConstantAccelerationPlanner(Planner):
             road_map: The map.
             vehicle: The ego's parameters.
         """
-        self._path = ReferencePath(task.route)
+        self._path = extended_path(task.route)
         self._vehicle = vehicle
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:

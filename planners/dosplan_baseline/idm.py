@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 
 from dosplan.api import Planner
-from dosplan.geometry import rectangle_corners
+from dosplan.geometry import ReferencePath, rectangle_corners
 from dosplan.types import (
     EGO_VELOCITY,
     FloatArray,
@@ -25,7 +25,7 @@ from dosplan.types import (
     RoadMap,
 )
 from dosplan.vehicle import VehicleParameters
-from dosplan_baseline.tracking import ReferencePath, roll_out
+from dosplan_baseline.tracking import bend_speed, extended_path, roll_out
 
 TIME_GAP = 1.0  # s
 LEAST_GAP = 2.0  # m
@@ -103,16 +103,16 @@ def find_leaders(
     steps = min(LOOK_AHEAD, occupancy.horizon)
     valid = occupancy.valid[:, :steps]
     corners = set_corners(occupancy, steps)
-    s = path.arclength(corners)
+    s = path.locate(corners)
     lateral = path.offset(corners, s)
     side = 0.5 * vehicle.width + SIDE_MARGIN
     blocks = valid & (lateral.min(axis=-1) < side) & (lateral.max(axis=-1) > -side)
 
-    now = path.arclength(observation.states[:, -1, :2])
-    then = path.arclength(corners.mean(axis=-2))
+    now = path.locate(observation.states[:, -1, :2])
+    then = path.locate(corners.mean(axis=-2))
     way = then - now[:, None]
     time = observation.dt * np.arange(1, steps + 1)
-    ego = path.arclength(vehicle.centre(observation.ego))
+    ego = path.locate(vehicle.centre(observation.ego))
     chosen = blocks & (now > ego)[:, None]
     return Leaders(rear=(s.min(axis=-1) - way)[chosen], velocity=(way / time)[chosen])
 
@@ -159,8 +159,8 @@ class IdmPlanner(Planner):
             vehicle: The ego's parameters.
         """
         self._vehicle = vehicle
-        self._path = ReferencePath(task.route)
-        self._bends = self._path.speed_profile(LATERAL_ACCELERATION, DECELERATION)
+        self._path = extended_path(task.route)
+        self._bends = bend_speed(self._path, LATERAL_ACCELERATION, DECELERATION)
         self._start_velocity = float(task.start[EGO_VELOCITY])
         self._goals = [(goal, _extent(goal, self._path)) for goal in task.goals]
 
@@ -193,7 +193,7 @@ class IdmPlanner(Planner):
         )
         window = max(goal.first_step, now + 1), max(goal.last_step, now + 1)
         time = (0.5 * sum(window) - now) * observation.dt
-        s = float(self._path.arclength(self._vehicle.centre(observation.ego)))
+        s = float(self._path.locate(self._vehicle.centre(observation.ego)))
         wish = float(np.clip(self._start_velocity, (near - s) / time, (far - s) / time))
         return float(np.clip(wish, *(goal.velocity or (0.0, np.inf))))
 
@@ -202,6 +202,6 @@ def _extent(goal: GoalState, path: ReferencePath) -> tuple[float, float]:
     """First and last arc length of a goal's region, a little inside; infinite without one."""
     if goal.region is None:
         return -np.inf, np.inf
-    s = path.arclength(shapely.get_coordinates(goal.region))
+    s = path.locate(shapely.get_coordinates(goal.region))
     margin = min(GOAL_MARGIN, 0.25 * float(np.ptp(s)))
     return float(s.min()) + margin, float(s.max()) - margin

@@ -1,13 +1,12 @@
-"""Following a reference path: projection, steering, and a plan rolled out by the vehicle model."""
+"""Following a path: steering, the speed that bends allow, and a plan by the vehicle model."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 import numpy as np
-import shapely
 
-from dosplan.geometry import wrap_angle
+from dosplan.geometry import ReferencePath, braking_envelope, wrap_angle
 from dosplan.types import (
     EGO_HEADING,
     EGO_STEERING,
@@ -29,98 +28,45 @@ _LENGTH_LEAST = 4.0  # ... and over no shorter a way than this, m.
 AccelerationLaw = Callable[[int, float, float], float]
 
 
-class ReferencePath:
-    """A route's path, longer at both ends, with fast look-ups by arc length.
+def extended_path(route: Route) -> ReferencePath:
+    """The path of a route, longer at both ends, so that a vehicle may be anywhere beside it.
 
-    Arc lengths here are those of the route; they are negative before its first point.
+    Args:
+        route: The route to follow.
+
+    Returns:
+        Its path; arc lengths are those of the route and negative before its first point.
     """
+    ends = np.array([route.heading[0], route.heading[-1]])
+    along = _EXTENSION * np.stack([np.cos(ends), np.sin(ends)], axis=1)
+    points = np.concatenate([route.path[:1] - along[:1], route.path, route.path[-1:] + along[1:]])
+    pieces = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    # Projection costs time per vertex; arc lengths on the thinned line differ by less than
+    # a thousandth.
+    return ReferencePath(
+        np.concatenate([[0.0], np.cumsum(pieces)]) - _EXTENSION,
+        points,
+        np.concatenate([ends[:1], route.heading, ends[1:]]),
+        np.concatenate([[0.0], route.curvature, [0.0]]),
+        thinning=_THINNING,
+    )
 
-    def __init__(self, route: Route) -> None:
-        """Prepares the look-ups.
 
-        Args:
-            route: The route to follow.
-        """
-        ends = np.array([route.heading[0], route.heading[-1]])
-        along = _EXTENSION * np.stack([np.cos(ends), np.sin(ends)], axis=1)
-        self._points = np.concatenate(
-            [route.path[:1] - along[:1], route.path, route.path[-1:] + along[1:]]
-        )
-        # Projection costs time per vertex; arc lengths on the thinned line differ by less than
-        # a thousandth.
-        self._line = shapely.LineString(self._points).simplify(_THINNING, preserve_topology=False)
-        pieces = np.linalg.norm(np.diff(self._points, axis=0), axis=1)
-        self._s = np.concatenate([[0.0], np.cumsum(pieces)]) - _EXTENSION
-        self._heading = np.concatenate([ends[:1], route.heading, ends[1:]])
-        self._curvature = np.concatenate([[0.0], route.curvature, [0.0]])
+def bend_speed(
+    path: ReferencePath, lateral: float, braking: float
+) -> tuple[FloatArray, FloatArray]:
+    """The fastest a vehicle may go at each point to take every bend ahead.
 
-    def arclength(self, points: FloatArray) -> FloatArray:
-        """Projects points on the path.
+    Args:
+        path: The path.
+        lateral: Largest lateral acceleration, m/s2.
+        braking: Deceleration with which it slows down before a bend, m/s2.
 
-        Args:
-            points: (..., 2) m.
-
-        Returns:
-            (...) arc length of the nearest point of the path, m.
-        """
-        return np.asarray(
-            shapely.line_locate_point(self._line, shapely.points(points)) - _EXTENSION
-        )
-
-    def heading(self, s: FloatArray | float) -> FloatArray:
-        """Heading of the path.
-
-        Args:
-            s: (...) arc length, m.
-
-        Returns:
-            (...) rad, continuous.
-        """
-        return np.asarray(np.interp(s, self._s, self._heading))
-
-    def curvature(self, s: FloatArray | float) -> FloatArray:
-        """Signed curvature of the path.
-
-        Args:
-            s: (...) arc length, m.
-
-        Returns:
-            (...) 1/m, left positive.
-        """
-        return np.asarray(np.interp(s, self._s, self._curvature))
-
-    def offset(self, points: FloatArray, s: FloatArray | float) -> FloatArray:
-        """Signed lateral distance from the path.
-
-        Args:
-            points: (..., 2) m.
-            s: (...) their arc lengths, m.
-
-        Returns:
-            (...) m, left positive.
-        """
-        heading = self.heading(s)
-        x = np.interp(s, self._s, self._points[:, 0])
-        y = np.interp(s, self._s, self._points[:, 1])
-        return np.asarray(
-            np.cos(heading) * (points[..., 1] - y) - np.sin(heading) * (points[..., 0] - x)
-        )
-
-    def speed_profile(self, lateral: float, braking: float) -> tuple[FloatArray, FloatArray]:
-        """The fastest a vehicle may go at each point to take every bend ahead.
-
-        Args:
-            lateral: Largest lateral acceleration, m/s2.
-            braking: Deceleration with which it slows down before a bend, m/s2.
-
-        Returns:
-            (P,) arc length, m, and (P,) velocity, m/s.
-        """
-        bend = lateral / np.maximum(np.abs(self._curvature), 1e-6)
-        # v(s)^2 <= bend(s') + 2 b (s' - s) for every s' >= s.
-        ahead = bend + 2.0 * braking * self._s
-        allowed = np.minimum.accumulate(ahead[::-1])[::-1] - 2.0 * braking * self._s
-        return self._s, np.sqrt(np.maximum(allowed, 0.0))
+    Returns:
+        (P,) arc length, m, and (P,) velocity, m/s.
+    """
+    squared = lateral / np.maximum(np.abs(path.curvature), 1e-6)
+    return path.arclength, braking_envelope(squared, path.arclength, braking)
 
 
 def steering_rate(
@@ -145,8 +91,8 @@ def steering_rate(
     """
     velocity = float(state[EGO_VELOCITY])
     error = float(path.offset(state[:2], s))
-    angle = float(wrap_angle(state[EGO_HEADING] - path.heading(s)))
-    bend = float(path.curvature(s + _ACTUATION * velocity))
+    angle = float(wrap_angle(state[EGO_HEADING] - path.heading_at(s)))
+    bend = float(path.curvature_at(s + _ACTUATION * velocity))
     length = max(_LENGTH_LEAST, _LENGTH_TIME * velocity)
     # Beyond the centre of the bend the law has no meaning; there the pole is kept away.
     follow = bend * np.cos(angle) / max(1.0 - bend * error, 0.2)
@@ -181,7 +127,7 @@ def roll_out(
     states, inputs = [state], []
     for step in range(steps):
         now = states[-1]
-        s = float(path.arclength(now[:2]))
+        s = float(path.locate(now[:2]))
         rate = steering_rate(path, now, s, vehicle)
         wanted = np.array([rate, acceleration(step, s, float(now[EGO_VELOCITY]))])
         inputs.append(vehicle.clip_input(now, wanted, dt))

@@ -7,11 +7,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
-from dosplan.geometry import wrap_angle
+from dosplan.geometry import (
+    PATH_CURVATURE,
+    PATH_HEADING,
+    PATH_X,
+    PATH_Y,
+    EvenPath,
+    braking_envelope,
+    wrap_angle,
+)
 from dosplan.types import FloatArray, GoalState, PlanningTask
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig, Style
-from dosplan_mpc.reference import CURVATURE, HEADING, ReferencePath, X, Y
 from dosplan_mpc.traffic import Traffic
 
 _SAMPLING = 0.25  # m along the path.
@@ -57,7 +64,7 @@ class GoalWindow:
 
 
 def locate_goals(
-    task: PlanningTask, path: ReferencePath, farthest: float = np.inf
+    task: PlanningTask, path: EvenPath, farthest: float = np.inf
 ) -> tuple[GoalWindow, ...]:
     """Finds the goals that have a region along the path.
 
@@ -77,7 +84,7 @@ def locate_goals(
     )
 
 
-def _locate(goal: GoalState, path: ReferencePath) -> GoalWindow | None:
+def _locate(goal: GoalState, path: EvenPath) -> GoalWindow | None:
     if goal.region is None:
         return None
     s = np.arange(0.0, path.length, _SAMPLING)
@@ -89,12 +96,12 @@ def _locate(goal: GoalState, path: ReferencePath) -> GoalWindow | None:
     if goal.heading is not None:
         middle = 0.5 * (goal.heading[0] + goal.heading[1])
         half = 0.5 * (goal.heading[1] - goal.heading[0])
-        near &= np.abs(wrap_angle(rows[:, HEADING] - middle)) <= half + _TURN
+        near &= np.abs(wrap_angle(rows[:, PATH_HEADING] - middle)) <= half + _TURN
     index = np.flatnonzero(near)
     if len(index) == 0:
         return None
-    x = rows[index, X, None] - np.sin(rows[index, HEADING, None]) * _OFFSETS
-    y = rows[index, Y, None] + np.cos(rows[index, HEADING, None]) * _OFFSETS
+    x = rows[index, PATH_X, None] - np.sin(rows[index, PATH_HEADING, None]) * _OFFSETS
+    y = rows[index, PATH_Y, None] + np.cos(rows[index, PATH_HEADING, None]) * _OFFSETS
     inside = shapely.contains_xy(region, x, y)
     touched = inside.any(axis=1)
     if not touched.any():
@@ -124,7 +131,7 @@ def _locate(goal: GoalState, path: ReferencePath) -> GoalWindow | None:
     begin = index[along[0]]
     heading = None
     if goal.heading is not None:
-        path_heading = rows[begin, HEADING]
+        path_heading = rows[begin, PATH_HEADING]
         middle = path_heading - float(wrap_angle(path_heading - 0.5 * sum(goal.heading)))
         half = 0.5 * (goal.heading[1] - goal.heading[0])
         heading = (middle - half, middle + half)
@@ -142,7 +149,7 @@ def _locate(goal: GoalState, path: ReferencePath) -> GoalWindow | None:
 
 
 def curve_speed(
-    path: ReferencePath, s: FloatArray, lateral_acceleration: float, vehicle: VehicleParameters
+    path: EvenPath, s: FloatArray, lateral_acceleration: float, vehicle: VehicleParameters
 ) -> FloatArray:
     """Speed at which the path's curves are taken: what tyres and the steering's rate allow.
 
@@ -155,28 +162,12 @@ def curve_speed(
     Returns:
         (S,) m/s.
     """
-    curvature = np.maximum(np.abs(path.at(s)[:, CURVATURE]), 1e-3)
+    curvature = np.maximum(np.abs(path.at(s)[:, PATH_CURVATURE]), 1e-3)
     before, after = path.at(s - _WINDING), path.at(s + _WINDING)
-    steering = np.arctan(vehicle.wheelbase * np.stack([before, after])[..., CURVATURE])
+    steering = np.arctan(vehicle.wheelbase * np.stack([before, after])[..., PATH_CURVATURE])
     turn = np.abs(steering[1] - steering[0]) / (2.0 * _WINDING)
     rate = _STEERING_SHARE * vehicle.max_steering_rate / np.maximum(turn, 1e-3)
     return np.asarray(np.minimum(np.sqrt(lateral_acceleration / curvature), rate))
-
-
-def braking_envelope(limit: FloatArray, s: FloatArray, deceleration: float) -> FloatArray:
-    """Largest speed from which every later limit can still be met by braking.
-
-    Args:
-        limit: (S,) m/s.
-        s: (S,) increasing arc lengths, m.
-        deceleration: m/s2.
-
-    Returns:
-        (S,) m/s: ``min over j >= i of sqrt(limit_j^2 + 2 a (s_j - s_i))``.
-    """
-    energy = limit**2 + 2.0 * deceleration * s
-    suffix = np.minimum.accumulate(energy[::-1])[::-1]
-    return np.asarray(np.sqrt(np.maximum(suffix - 2.0 * deceleration * s, 0.0)))
 
 
 def cruise_for_goal(
@@ -266,7 +257,7 @@ class SpeedProfile:
 
 
 def _speed_limit(
-    path: ReferencePath,
+    path: EvenPath,
     window: GoalWindow | None,
     grid: FloatArray,
     style: Style,
@@ -278,11 +269,11 @@ def _speed_limit(
         low, high = window.velocity
         cap = high - 0.15 * (high - low)
         limit = np.where(grid >= window.begin - 1.0, np.minimum(limit, cap), limit)
-    return braking_envelope(limit, grid, style.longitudinal)
+    return braking_envelope(limit**2, grid, style.longitudinal)
 
 
 def plan_speed(
-    path: ReferencePath,
+    path: EvenPath,
     windows: tuple[GoalWindow, ...],
     step: int,
     dt: float,
@@ -345,7 +336,7 @@ def plan_speed(
     offset = window.offset * part**2 * (3.0 - 2.0 * part)
     inside = (s >= window.begin - 2.0) & (s <= window.end + 1.0)
     inside &= step + np.arange(horizon + 1) >= window.first_step - 5
-    heading, asked = path.at(s)[:, HEADING], inside & (window.heading is not None)
+    heading, asked = path.at(s)[:, PATH_HEADING], inside & (window.heading is not None)
     if window.heading is not None:
         low, high = window.heading
         aim = min(_AIM, 0.3 * (high - low))

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 
 from dosplan.api import Planner
+from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, PATH_X, PATH_Y
 from dosplan.types import (
     EGO_HEADING,
     EGO_SIZE,
@@ -26,7 +27,7 @@ from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.goal import GoalWindow, SpeedProfile, locate_goals, plan_speed
 from dosplan_mpc.nlp import Guess, Solution, problems
 from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, stretch_back
-from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, RIGHT, ReferencePath, X, Y
+from dosplan_mpc.reference import PATH_LEFT, PATH_RIGHT, aligned_path
 from dosplan_mpc.sampler import Candidates, Sampler
 from dosplan_mpc.shape import STATIONS, disc_offsets, station_offsets
 from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, STAGE_HEAD, STATION_SIZE
@@ -81,7 +82,7 @@ class MpcPlanner(Planner):
         self._problems = problems(self.config, vehicle, task.dt)
         _, self._radius = disc_offsets(vehicle, self.config.discs)
         self._stations = station_offsets(vehicle)
-        self._path = _aligned(task)
+        self._path = aligned_path(task)
         self._final_step = task.final_step
         self._farthest = _end_of_road(task, road_map) - vehicle.length / 2.0 - _EDGE
         self._windows: tuple[GoalWindow, ...] = locate_goals(task, self._path, self._farthest)
@@ -246,7 +247,7 @@ class MpcPlanner(Planner):
         stages = np.empty((self.config.horizon + 1, fitting.stage_size))
         s, _ = self._path.project(guess.states[:, :2], guess.arclength)
         row = self._path.at(s)
-        stages[:, :4] = row[:, [X, Y, HEADING, CURVATURE]]
+        stages[:, :4] = row[:, [PATH_X, PATH_Y, PATH_HEADING, PATH_CURVATURE]]
         stages[:, 4] = profile.velocity
         stages[:, 5] = profile.offset
         stages[:, 6] = profile.arclength - self._vehicle.rear_to_centre - s
@@ -259,7 +260,9 @@ class MpcPlanner(Planner):
         )
         along, _ = self._path.project(points, s[:, None] + self._stations)
         beside = self._path.at(along)
-        stations = beside[..., [X, Y, HEADING, CURVATURE, RIGHT, LEFT]]
+        stations = beside[
+            ..., [PATH_X, PATH_Y, PATH_HEADING, PATH_CURVATURE, PATH_RIGHT, PATH_LEFT]
+        ]
         # A goal narrows the way of the ego's centre; the middle station's edges are of its sides.
         half = self._vehicle.width / 2.0 + self.config.road_margin
         middle = stations[:, STATIONS // 2]
@@ -285,15 +288,6 @@ def _plan(observation: Observation, guess: Guess, report: SolveReport) -> Plan:
     states = guess.states[:, :EGO_SIZE].copy()
     states[0] = observation.ego
     return Plan(states=states, inputs=guess.inputs, report=report)
-
-
-def _aligned(task: PlanningTask) -> ReferencePath:
-    """The reference path with its heading on the same turn as the ego's."""
-    path = ReferencePath(task.route)
-    row = path.at(path.locate(task.start[:2]))
-    turns = np.round((task.start[EGO_HEADING] - row[HEADING]) / (2.0 * np.pi))
-    path.table[:, HEADING] += 2.0 * np.pi * turns
-    return path
 
 
 def _end_of_road(task: PlanningTask, road_map: RoadMap) -> float:

@@ -1,21 +1,18 @@
-"""The reference path as a table: interpolation and projection, vectorised."""
+"""The reference path: the route's path with the edges that the ego keeps, as a table."""
 
 from __future__ import annotations
 
 from typing import Final
 
 import numpy as np
-import shapely
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from dosplan.types import FloatArray, Route
+from dosplan.geometry import PATH_HEADING, PATH_SIZE, EvenPath
+from dosplan.types import EGO_HEADING, FloatArray, PlanningTask, Route
 
-X: Final = 0
-Y: Final = 1
-HEADING: Final = 2
-CURVATURE: Final = 3
-RIGHT: Final = 4
-LEFT: Final = 5
+PATH_RIGHT: Final = PATH_SIZE
+PATH_LEFT: Final = PATH_SIZE + 1
+"""Further columns of the path's table: right and left edge, m, where they are narrowest nearby."""
 
 _REACH = 0.55  # m; an edge counts this far along the path, for a corner between two stations.
 # In a bend a car may swing out into a lane against it: a front that is l ahead of the rear axle
@@ -23,95 +20,52 @@ _REACH = 0.55  # m; an edge counts this far along the path, for a corner between
 _SWING = 10.0  # m2
 _SWING_REACH = 8.0  # m before and after the bend.
 _WIDEST_SWING = 1.5  # m
-_NEWTON_STEPS = 4
-_LONGEST_STEP = 12.0  # m; keeps Newton's method on its branch where the path turns back.
 
 
-class ReferencePath:
-    """Linear interpolation in a table of the route, equally spaced in arc length."""
+def reference_path(route: Route, turn: float = 0.0) -> EvenPath:
+    """The path of a route with the edges beside it.
 
-    def __init__(self, route: Route) -> None:
-        """Lays out the table.
+    Args:
+        route: The route of the episode.
+        turn: Angle that is added to its heading, rad: full turns, so that it is continuous with
+            another heading.
 
-        Args:
-            route: The route of the episode.
-        """
-        self.length = float(route.arclength[-1])
-        self._spacing = self.length / (len(route.arclength) - 1)
-        swing = np.minimum(
-            _SWING * maximum_filter1d(np.abs(route.curvature), self._samples(_SWING_REACH)),
-            _WIDEST_SWING,
-        )
-        right = np.maximum(route.outer_right, route.right - swing)
-        left = np.minimum(route.outer_left, route.left + swing)
-        narrow = self._samples(_REACH)
-        self.table: FloatArray = np.column_stack(
-            [
-                route.path,
-                route.heading,
-                route.curvature,
-                maximum_filter1d(right, narrow),
-                minimum_filter1d(left, narrow),
-            ]
-        )
-        self._line = shapely.LineString(route.path)
+    Returns:
+        The path; its table has the columns ``PATH_RIGHT`` and ``PATH_LEFT`` as well.
+    """
+    right, left = _edges(route)
+    return EvenPath(
+        route.arclength, route.path, route.heading + turn, route.curvature, (right, left)
+    )
 
-    def _samples(self, reach: float) -> int:
-        """Samples of the table within a distance to both sides."""
-        return 2 * int(np.ceil(reach / self._spacing)) + 1
 
-    def at(self, arclength: FloatArray) -> FloatArray:
-        """Rows of the table.
+def aligned_path(task: PlanningTask) -> EvenPath:
+    """The reference path with its heading on the same turn as the ego's.
 
-        Args:
-            arclength: Arc lengths, m, any shape; clipped to the path.
+    Args:
+        task: Start, goal and route.
 
-        Returns:
-            (..., 6) x, y, m; heading, rad, unwrapped; curvature, 1/m; right and left edge, m,
-            where they are narrowest within ``_REACH``.
-        """
-        position = np.clip(arclength / self._spacing, 0.0, len(self.table) - 1.000001)
-        low = position.astype(np.int64)
-        part = (position - low)[..., None]
-        return np.asarray(self.table[low] * (1.0 - part) + self.table[low + 1] * part)
+    Returns:
+        The path.
+    """
+    path = reference_path(task.route)
+    heading = path.at(path.locate(task.start[:2]))[PATH_HEADING]
+    turns = np.round((task.start[EGO_HEADING] - heading) / (2.0 * np.pi))
+    return reference_path(task.route, 2.0 * np.pi * turns)
 
-    def locate(self, points: FloatArray) -> FloatArray:
-        """Arc lengths of the nearest points of the whole path.
 
-        Args:
-            points: (..., 2) m.
+def _edges(route: Route) -> tuple[FloatArray, FloatArray]:
+    """(P,) right and (P,) left edge beside the points of a route, m."""
+    spacing = float(route.arclength[-1]) / (len(route.arclength) - 1)
 
-        Returns:
-            (...) m.
-        """
-        return np.asarray(shapely.line_locate_point(self._line, shapely.points(points)))
+    def samples(reach: float) -> int:
+        """Points within a distance to both sides."""
+        return 2 * int(np.ceil(reach / spacing)) + 1
 
-    def project(
-        self, points: FloatArray, guess: FloatArray, iterations: int = _NEWTON_STEPS
-    ) -> tuple[FloatArray, FloatArray]:
-        """Projects points near a guess, by Newton's method on the table.
-
-        Args:
-            points: (..., 2) m.
-            guess: (...) arc lengths to begin with, m.
-            iterations: Newton steps; one is enough next to a guess within a metre.
-
-        Returns:
-            (...) arc lengths, m, and (...) signed offsets, m, left positive.
-        """
-        s = np.array(guess, dtype=np.float64)
-        for _ in range(iterations):
-            along, across, curvature = self._frame(points, s)
-            shrink = np.maximum(1.0 - curvature * across, 0.3)
-            s = np.clip(
-                s + np.clip(along / shrink, -_LONGEST_STEP, _LONGEST_STEP), 0.0, self.length
-            )
-        return s, self._frame(points, s)[1]
-
-    def _frame(
-        self, points: FloatArray, s: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        row = self.at(s)
-        dx, dy = points[..., 0] - row[..., X], points[..., 1] - row[..., Y]
-        cos, sin = np.cos(row[..., HEADING]), np.sin(row[..., HEADING])
-        return cos * dx + sin * dy, cos * dy - sin * dx, row[..., CURVATURE]
+    swing = np.minimum(
+        _SWING * maximum_filter1d(np.abs(route.curvature), samples(_SWING_REACH)), _WIDEST_SWING
+    )
+    right = np.maximum(route.outer_right, route.right - swing)
+    left = np.minimum(route.outer_left, route.left + swing)
+    narrow = samples(_REACH)
+    return maximum_filter1d(right, narrow), minimum_filter1d(left, narrow)

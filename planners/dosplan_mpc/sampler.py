@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath
 from dosplan.types import EGO_SIZE, FloatArray
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.goal import SpeedProfile
 from dosplan_mpc.nlp import Guess
 from dosplan_mpc.obstacles import ForbiddenSets
-from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, RIGHT, ReferencePath
+from dosplan_mpc.reference import PATH_LEFT, PATH_RIGHT
 from dosplan_mpc.shape import disc_offsets, station_offsets
 from dosplan_mpc.stage import STATE_SIZE
 
@@ -89,7 +90,7 @@ class Sampler:
     """Makes and rates candidates."""
 
     def __init__(
-        self, config: MpcConfig, vehicle: VehicleParameters, path: ReferencePath, dt: float
+        self, config: MpcConfig, vehicle: VehicleParameters, path: EvenPath, dt: float
     ) -> None:
         """Keeps what does not change during an episode.
 
@@ -142,8 +143,8 @@ class Sampler:
         here = self._path.at(np.array(arclength))
         ahead = self._path.at(np.array(arclength + 10.0))
         room = self._vehicle.width / 2.0 + self._config.road_margin
-        left = max(float(ahead[LEFT]) - room, 0.0)
-        right = min(float(ahead[RIGHT]) + room, 0.0)
+        left = max(float(ahead[PATH_LEFT]) - room, 0.0)
+        right = min(float(ahead[PATH_RIGHT]) + room, 0.0)
         goal = float(profile.offset[-1])
         targets = np.array(
             [goal, offset, min(_LANE, left), max(-_LANE, right), 0.5 * left, 0.5 * right]
@@ -153,13 +154,13 @@ class Sampler:
         )
         # Every combination: C = speeds x targets x lengths.
         i, j, k = (index.ravel() for index in np.indices((len(speed), len(targets), len(length))))
-        turn = np.clip(start[4] - here[HEADING], -_STEEPEST, _STEEPEST)
+        turn = np.clip(start[4] - here[PATH_HEADING], -_STEEPEST, _STEEPEST)
         wishes = _Wishes(
             speed=speed[i],
             begin=arclength,
             span=length[k],
             offset=offset,
-            slope=float(np.tan(turn)) * max(1.0 - float(here[CURVATURE]) * offset, 0.2),
+            slope=float(np.tan(turn)) * max(1.0 - float(here[PATH_CURVATURE]) * offset, 0.2),
             target=targets[j],
         )
         return self._drive(start, wishes)
@@ -181,7 +182,7 @@ class Sampler:
         for step in range(n):
             state, s, d = states[:, step, :EGO_SIZE], arclength[:, step], offset[:, step]
             row = self._path.at(s)
-            curvature, turn = row[:, CURVATURE], state[:, 4] - row[:, HEADING]
+            curvature, turn = row[:, PATH_CURVATURE], state[:, 4] - row[:, PATH_HEADING]
             wanted, first, second = wishes.offset_at(s)
             reach = np.maximum(_LOOKAHEAD_SECONDS * state[:, 3], _SHORTEST_LOOKAHEAD)
             bend = curvature / np.maximum(1.0 - curvature * d, 0.2) + second
@@ -190,11 +191,9 @@ class Sampler:
             steering = np.clip(
                 np.arctan(vehicle.wheelbase * bend), -vehicle.max_steering, vehicle.max_steering
             )
-            lateral = state[:, 3] ** 2 * np.tan(state[:, 2]) / vehicle.wheelbase
+            lateral = vehicle.lateral_acceleration(state[:, 3], state[:, 2])
             friction = np.sqrt(np.maximum(grip**2 - lateral**2, 0.0))
-            engine = vehicle.max_acceleration * np.minimum(
-                1.0, vehicle.switching_velocity / np.maximum(state[:, 3], 1e-6)
-            )
+            engine = vehicle.engine_acceleration(state[:, 3])
             rate, acceleration = inputs[:, step, 0], inputs[:, step, 1]
             np.clip(
                 (steering - state[:, 2]) / dt,
@@ -233,19 +232,19 @@ class Sampler:
         c, x = self._config, candidates.states
         row = self._path.at(candidates.arclength)
         half = self._vehicle.width / 2.0 + c.road_margin
-        turn = np.tan(np.clip(x[..., 4] - row[..., HEADING], -1.0, 1.0))
+        turn = np.tan(np.clip(x[..., 4] - row[..., PATH_HEADING], -1.0, 1.0))
         outside = np.zeros(x.shape[:2])
         for ahead in self._stations:
             beside = self._path.at(candidates.arclength + ahead)
             # The ego's axis is a tangent; the path bends away from it by kappa l^2 / 2.
-            d = candidates.offset + ahead * turn - 0.5 * row[..., CURVATURE] * ahead**2
-            outside = np.maximum(outside, d + half - beside[..., LEFT])
-            outside = np.maximum(outside, beside[..., RIGHT] - d + half)
+            d = candidates.offset + ahead * turn - 0.5 * row[..., PATH_CURVATURE] * ahead**2
+            outside = np.maximum(outside, d + half - beside[..., PATH_LEFT])
+            outside = np.maximum(outside, beside[..., PATH_RIGHT] - d + half)
         middle = candidates.offset + self._vehicle.rear_to_centre * turn
         outside = np.maximum(outside, middle - profile.left)
         outside = np.maximum(outside, profile.right - middle)
         acceleration = x[:, 1:, 5]
-        lateral = x[..., 3] ** 2 * np.tan(x[..., 2]) / self._vehicle.wheelbase
+        lateral = self._vehicle.lateral_acceleration(x[..., 3], x[..., 2])
         slip = np.maximum(np.abs(lateral) / (c.grip * self._vehicle.max_acceleration) - 1.0, 0.0)
         cost = 0.5 * (
             c.lateral_weight * (candidates.offset - profile.offset) ** 2

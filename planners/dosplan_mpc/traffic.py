@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dosplan.geometry import PATH_HEADING, EvenPath
 from dosplan.types import (
     EGO_VELOCITY,
     USER_HEADING,
@@ -16,7 +17,6 @@ from dosplan.types import (
     Observation,
 )
 from dosplan.vehicle import VehicleParameters
-from dosplan_mpc.reference import HEADING, ReferencePath
 
 _SIDE = 1.7  # m from the ego's offset within which a road user is in its lane
 _ALIGNED = 0.7  # cosine of the largest angle to the path
@@ -44,7 +44,7 @@ class Traffic:
 
 def look_around(
     observation: Observation,
-    path: ReferencePath,
+    path: EvenPath,
     vehicle: VehicleParameters,
     position: float,
     offset: float,
@@ -72,7 +72,7 @@ def look_around(
     now = observation.states[:, -1]
     points = now[:, [USER_X, USER_Y]]
     along, across = path.project(points, path.locate(points), iterations=1)
-    aligned = np.cos(now[:, USER_HEADING] - path.at(along)[:, HEADING]) > _ALIGNED
+    aligned = np.cos(now[:, USER_HEADING] - path.at(along)[:, PATH_HEADING]) > _ALIGNED
     lane = aligned & (np.abs(across - offset) < _SIDE)
     distance = along - position
     speed = now[:, USER_VELOCITY]

@@ -16,6 +16,7 @@ from commonroad.planning.goal import GoalRegion
 from commonroad.planning.planning_problem import PlanningProblem
 from commonroad.scenario.state import CustomState, InitialState
 
+from dosplan.geometry import ReferencePath
 from dosplan.scenario.commonroad.document import Document, ScenarioError, read_document
 from dosplan.scenario.commonroad.obstacles import Resampling, read_tracks
 from dosplan.scenario.commonroad.road_map import read_road_map
@@ -197,14 +198,15 @@ def _steered(start: FloatArray, route: Route, vehicle: VehicleParameters) -> Flo
     """
     if start[EGO_STEERING] != 0.0:
         return start
-    along = shapely.line_locate_point(shapely.LineString(route.path), shapely.Point(start[:2]))
-    heading = np.interp(along, route.arclength, route.heading)
-    if np.cos(start[EGO_HEADING] - heading) < _ALONG_ROUTE:
+    path = ReferencePath.of(route)
+    along = path.locate(start[:2])
+    if np.cos(start[EGO_HEADING] - path.heading_at(along)) < _ALONG_ROUTE:
         return start
-    curvature = np.interp(along, route.arclength, route.curvature)
     steered = start.copy()
     steered[EGO_STEERING] = np.clip(
-        np.arctan(vehicle.wheelbase * curvature), -vehicle.max_steering, vehicle.max_steering
+        np.arctan(vehicle.wheelbase * path.curvature_at(along)),
+        -vehicle.max_steering,
+        vehicle.max_steering,
     )
     return steered
 

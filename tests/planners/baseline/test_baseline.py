@@ -16,7 +16,7 @@ from dosplan_baseline.idm import (
     idm_acceleration,
     set_corners,
 )
-from dosplan_baseline.tracking import ReferencePath, roll_out
+from dosplan_baseline.tracking import bend_speed, extended_path, roll_out
 from dosplan_simple.predictors import ConstantVelocityPredictor, NonePredictor
 from dosplan_simple.sets import GrowingCirclePredictor
 from hypothesis import given, settings
@@ -24,6 +24,7 @@ from hypothesis import strategies as st
 from shapely.geometry import Polygon, box
 
 from dosplan.api import Planner
+from dosplan.geometry import ReferencePath
 from dosplan.scenario.synthetic import growing_sets
 from dosplan.simulation.loop import SimulationConfig, observe, run_episode
 from dosplan.types import (
@@ -60,9 +61,9 @@ def follow(path: ReferencePath, state: FloatArray, steps: int) -> FloatArray:
 
 
 def test_path_projects_and_goes_on_straight_past_its_ends() -> None:
-    path = ReferencePath(straight_route())  # From x = -20 m to 400 m.
+    path = extended_path(straight_route())  # From x = -20 m to 400 m.
     points = np.array([[0.0, 1.5], [-50.0, -2.0], [450.0, 0.0]])
-    s = path.arclength(points)
+    s = path.locate(points)
     np.testing.assert_allclose(s, [20.0, -30.0, 470.0])
     np.testing.assert_allclose(path.offset(points, s), [1.5, -2.0, 0.0])
 
@@ -70,15 +71,15 @@ def test_path_projects_and_goes_on_straight_past_its_ends() -> None:
 @given(angle=st.floats(0.2, 3.0), offset=st.floats(-5.0, 5.0))
 def test_projection_on_an_arc_is_polar(angle: float, offset: float) -> None:
     radius = 30.0
-    path = ReferencePath(arc_route(radius, length=100.0))
+    path = extended_path(arc_route(radius, length=100.0))
     away = radius - offset  # Left of a left bend is nearer to its centre.
     point = np.array([away * math.sin(angle), radius - away * math.cos(angle)])
-    s = path.arclength(point)
+    s = path.locate(point)
     # Chords that sag 5 mm are sqrt(8 * 30 * 0.005) = 1.1 m long: at 5 m to the side, half a
     # chord's angle shifts the nearest point by up to 5 * 1.1 / 30 / 2 = 0.09 m.
     assert float(s) == pytest.approx(radius * angle, abs=0.1)
     assert float(path.offset(point, s)) == pytest.approx(offset, abs=0.02)
-    assert float(path.heading(s)) == pytest.approx(angle, abs=0.01)
+    assert float(path.heading_at(s)) == pytest.approx(angle, abs=0.01)
 
 
 @pytest.mark.parametrize("velocity", [3.0, 10.0, 30.0])
@@ -87,7 +88,7 @@ def test_steering_returns_to_the_path_without_swinging(
     velocity: float, start: tuple[float, float]
 ) -> None:
     state = ego(0.0, start[0], velocity, start[1])
-    states = follow(ReferencePath(straight_route()), state, 100)
+    states = follow(extended_path(straight_route()), state, 100)
     side = states[:, EGO_Y] * math.copysign(1.0, start[0])
     assert abs(side[-1]) < 0.02
     assert abs(states[-1, EGO_HEADING]) < 0.01
@@ -98,7 +99,7 @@ def test_steering_returns_to_the_path_without_swinging(
 def test_steering_holds_a_bend(radius: float, velocity: float) -> None:
     steering = math.atan(VEHICLE.wheelbase / radius)
     state = np.array([0.0, 0.0, steering, velocity, 0.0])
-    states = follow(ReferencePath(arc_route(radius)), state, 60)
+    states = follow(extended_path(arc_route(radius)), state, 60)
     from_centre = np.hypot(states[:, EGO_X], states[:, EGO_Y] - radius)
     assert np.abs(from_centre - radius).max() < 0.05
 
@@ -108,7 +109,7 @@ def test_speed_profile_brakes_before_the_bend() -> None:
     # 10 m before it sqrt(60 + 2 * 1.5 * 10) = 9.487 m/s.
     route = straight_route()
     curvature = np.where(route.arclength >= 100.0, 1.0 / 20.0, 0.0)
-    s, velocity = ReferencePath(replace(route, curvature=curvature)).speed_profile(3.0, 1.5)
+    s, velocity = bend_speed(extended_path(replace(route, curvature=curvature)), 3.0, 1.5)
     assert np.interp(100.0, s, velocity) == pytest.approx(math.sqrt(60.0))
     assert np.interp(90.0, s, velocity) == pytest.approx(math.sqrt(90.0))
 
@@ -162,7 +163,7 @@ def leaders_of(scenario: Scenario, occupancy: Occupancy | None = None) -> tuple[
     """Gap and velocity of the nearest leader; NaN without one."""
     seen = observe(scenario, 0, scenario.task.start[None], 5)
     sets = ConstantVelocityPredictor().predict(seen) if occupancy is None else occupancy
-    path = ReferencePath(scenario.task.route)
+    path = extended_path(scenario.task.route)
     found = find_leaders(path, seen, sets, VEHICLE)
     if not len(found.rear):
         return math.nan, math.nan

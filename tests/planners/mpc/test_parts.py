@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.goal import (
-    braking_envelope,
     cruise_for_goal,
     curve_speed,
     locate_goals,
@@ -24,7 +23,7 @@ from dosplan_mpc.obstacles import (
     stretch_back,
     superellipse_axes,
 )
-from dosplan_mpc.reference import CURVATURE, HEADING, LEFT, ReferencePath
+from dosplan_mpc.reference import PATH_LEFT, reference_path
 from dosplan_mpc.sampler import Sampler
 from dosplan_mpc.shape import disc_offsets, station_offsets
 from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, SLOT_SIZE, STAGE_HEAD, STATION_SIZE
@@ -33,7 +32,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import box
 
-from dosplan.geometry import rectangle_corners
+from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, rectangle_corners
 from dosplan.scenario.synthetic import steady_tracks, straight_route, straight_scenario
 from dosplan.simulation.loop import observe
 from dosplan.types import FloatArray, GoalState, Occupancy, PlanningTask, Route, SolveStatus
@@ -207,14 +206,14 @@ def test_nearest_orders_by_normalised_distance() -> None:
 @settings(max_examples=40, deadline=None)
 @given(s=st.floats(3.0, 80.0), d=st.floats(-4.0, 4.0), error=st.floats(-3.0, 3.0))
 def test_projection_inverts_the_frame(s: float, d: float, error: float) -> None:
-    path = ReferencePath(circle_route(30.0))
+    path = reference_path(circle_route(30.0))
     row = path.at(np.array(s))
-    point = row[:2] + d * np.array([-np.sin(row[HEADING]), np.cos(row[HEADING])])
+    point = row[:2] + d * np.array([-np.sin(row[PATH_HEADING]), np.cos(row[PATH_HEADING])])
     along, across = path.project(point, np.array(s + error))
     # The table is linear between points 0.5 m apart: its sagitta is 0.5^2 / (8 * 30) = 1 mm.
     assert float(along) == pytest.approx(s, abs=0.02)
     assert float(across) == pytest.approx(d, abs=0.005)
-    assert path.at(np.array(s))[CURVATURE] == pytest.approx(1 / 30)
+    assert path.at(np.array(s))[PATH_CURVATURE] == pytest.approx(1 / 30)
 
 
 def goal_task(goal: GoalState) -> PlanningTask:
@@ -224,7 +223,7 @@ def goal_task(goal: GoalState) -> PlanningTask:
 def test_goal_region_is_found_along_the_path() -> None:
     # The path begins 20 m behind the origin; the region is kept 0.2 m from its edges.
     task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.5), velocity=(3.0, 5.0)))
-    (window,) = locate_goals(task, ReferencePath(task.route))
+    (window,) = locate_goals(task, reference_path(task.route))
     assert window.begin == pytest.approx(60.2, abs=0.3)
     assert window.end == pytest.approx(79.8, abs=0.3)
     assert window.right == pytest.approx(-0.8, abs=0.11)
@@ -234,26 +233,18 @@ def test_goal_region_is_found_along_the_path() -> None:
 
 def test_goal_beside_the_path_asks_for_an_offset() -> None:
     task = goal_task(GoalState(20, 30, box(40.0, 2.0, 60.0, 5.0)))
-    (window,) = locate_goals(task, ReferencePath(task.route))
+    (window,) = locate_goals(task, reference_path(task.route))
     assert 2.2 <= window.offset <= 4.8
 
 
 def test_goal_with_a_foreign_heading_is_not_on_the_path() -> None:
     task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0), heading=(1.5, 1.6)))
-    assert locate_goals(task, ReferencePath(task.route)) == ()
+    assert locate_goals(task, reference_path(task.route)) == ()
 
 
 def test_goal_without_a_region_has_no_window() -> None:
     task = goal_task(GoalState(20, 30))
-    assert locate_goals(task, ReferencePath(task.route)) == ()
-
-
-def test_braking_envelope_is_the_closed_form() -> None:
-    s = np.arange(0.0, 50.0, 1.0)
-    limit = np.where(s < 30.0, 20.0, 5.0)
-    # v^2 = 5^2 + 2 * 2 * (30 - s) before the limit, capped by 20.
-    expected = np.minimum(20.0, np.sqrt(25.0 + 4.0 * np.maximum(30.0 - s, 0.0)))
-    np.testing.assert_allclose(braking_envelope(limit, s, 2.0), expected)
+    assert locate_goals(task, reference_path(task.route)) == ()
 
 
 @pytest.mark.parametrize(
@@ -270,7 +261,7 @@ def test_cruise_meets_the_window(
     first: int, last: int, begin: float, cruise: float, low: float, high: float
 ) -> None:
     task = goal_task(GoalState(first, last, box(begin, -1.0, begin + 20.0, 1.0)))
-    (window,) = locate_goals(task, ReferencePath(task.route))
+    (window,) = locate_goals(task, reference_path(task.route))
     grid = 20.0 + np.arange(0.0, 120.0, 1.0)
     limit = np.full_like(grid, 40.0)
     met, speed = cruise_for_goal(window, 0, DT, 20.0, 10.0, cruise, grid, limit, 2.5)
@@ -279,7 +270,7 @@ def test_cruise_meets_the_window(
 
 
 def test_profile_slows_down_for_a_curve() -> None:
-    path = ReferencePath(circle_route(10.0, turn=6.0))
+    path = reference_path(circle_route(10.0, turn=6.0))
     profile = plan_speed(
         path, (), 0, DT, 1.0, 12.0, replace(FREE, cruise=12.0), MpcConfig(), VEHICLE
     )
@@ -293,7 +284,7 @@ def test_a_curve_is_taken_no_faster_than_the_wheels_turn() -> None:
     route = straight_route(100.0)
     along = route.arclength - 50.0
     curvature = 0.1 * np.clip(along / 2.0, 0.0, 1.0)
-    path = ReferencePath(replace(route, curvature=curvature))
+    path = reference_path(replace(route, curvature=curvature))
     (speed,) = curve_speed(path, np.array([51.0]), 9.0, VEHICLE)
     # atan(wheelbase * 0.1) of steering over a window of 3 m.
     wanted = VEHICLE.max_steering_rate * 3.0 / np.arctan(VEHICLE.wheelbase * 0.1)
@@ -302,7 +293,7 @@ def test_a_curve_is_taken_no_faster_than_the_wheels_turn() -> None:
 
 
 def test_who_is_pressed_takes_a_curve_faster() -> None:
-    path = ReferencePath(circle_route(10.0, turn=6.0))
+    path = reference_path(circle_route(10.0, turn=6.0))
     calm, pressed = (
         plan_speed(path, (), 0, DT, 1.0, 12.0, replace(FREE, pressed=p), MpcConfig(), VEHICLE)
         for p in (False, True)
@@ -314,7 +305,7 @@ def test_who_is_pressed_takes_a_curve_faster() -> None:
 
 def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
     task = goal_task(GoalState(100, 100, box(-10.0, -1.0, 2.0, 1.0)))
-    path = ReferencePath(task.route)
+    path = reference_path(task.route)
     windows = locate_goals(task, path)
     # The region ends at 22 m of path; the last metre is kept as a reserve.
     # Up to the edge itself, which the window with its margins falls short of, it is not too late.
@@ -330,16 +321,16 @@ def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
 
 def test_a_goal_ends_where_the_ego_has_to_stop() -> None:
     task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0)))
-    (window,) = locate_goals(task, ReferencePath(task.route), farthest=70.0)
+    (window,) = locate_goals(task, reference_path(task.route), farthest=70.0)
     assert window.end == 70.0
-    (beyond,) = locate_goals(task, ReferencePath(task.route), farthest=10.0)
+    (beyond,) = locate_goals(task, reference_path(task.route), farthest=10.0)
     assert beyond.end == beyond.begin
 
 
 @pytest.mark.parametrize("lap", [0.0, 2.0 * np.pi, -2.0 * np.pi])
 def test_heading_of_a_goal_is_on_the_turn_of_the_path(lap: float) -> None:
     task = goal_task(GoalState(0, 30, box(0.0, -1.0, 20.0, 1.0), heading=(0.1 + lap, 0.3 + lap)))
-    path = ReferencePath(task.route)
+    path = reference_path(task.route)
     (window,) = locate_goals(task, path)
     assert window.heading == pytest.approx((0.1, 0.3))
     profile = plan_speed(path, (window,), 0, DT, 25.0, 5.0, FREE, MpcConfig(), VEHICLE)
@@ -354,18 +345,18 @@ def test_a_bend_lends_room_of_the_lane_against() -> None:
         for radius, outer in ((8.0, 6.0), (400.0, 6.0))
         for n in (len(circle_route(radius).arclength),)
     )
-    assert ReferencePath(tight).table[5, LEFT] == pytest.approx(1.5 + 10.0 / 8.0)
-    assert ReferencePath(wide).table[5, LEFT] == pytest.approx(1.5 + 10.0 / 400.0)
+    assert reference_path(tight).table[5, PATH_LEFT] == pytest.approx(1.5 + 10.0 / 8.0)
+    assert reference_path(wide).table[5, PATH_LEFT] == pytest.approx(1.5 + 10.0 / 400.0)
     # Never beyond the drivable area.
     walled = replace(tight, outer_left=tight.left)
-    assert ReferencePath(walled).table[5, LEFT] == 1.5
+    assert reference_path(walled).table[5, PATH_LEFT] == 1.5
 
 
 def seen(users: list[list[float]], velocity: float = 10.0) -> Traffic:
     """What the ego at x = 1.42 m sees of cars on a straight road."""
     scenario = straight_scenario(steady_tracks(users), velocity=velocity)
     observation = observe(scenario, 0, scenario.task.start[None], 1)
-    path = ReferencePath(scenario.task.route)
+    path = reference_path(scenario.task.route)
     position = 20.0 + VEHICLE.rear_to_centre
     return look_around(observation, path, VEHICLE, position, 0.0, velocity)
 
@@ -400,7 +391,7 @@ def test_a_stretched_set_keeps_its_front_and_reaches_back() -> None:
 
 def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
     config = MpcConfig()
-    path = ReferencePath(straight_route())
+    path = reference_path(straight_route())
     sampler = Sampler(config, VEHICLE, path, DT)
     profile = plan_speed(path, (), 0, DT, 20.0, 10.0, FREE, config, VEHICLE)
     start = np.array([0.0, 0.2, 0.0, 10.0, 0.05, 0.0])
@@ -417,7 +408,7 @@ def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
 
 def test_rating_prefers_the_free_side() -> None:
     config = MpcConfig()
-    path = ReferencePath(straight_route())
+    path = reference_path(straight_route())
     sampler = Sampler(config, VEHICLE, path, DT)
     profile = plan_speed(path, (), 0, DT, 20.0, 10.0, FREE, config, VEHICLE)
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])

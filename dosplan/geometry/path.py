@@ -1,0 +1,218 @@
+"""Paths in the plane: what they are like at an arc length, and where a point is beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Self
+
+import numpy as np
+import shapely
+
+from dosplan.types import FloatArray, Route
+
+PATH_X: Final = 0
+PATH_Y: Final = 1
+PATH_HEADING: Final = 2
+PATH_CURVATURE: Final = 3
+PATH_SIZE: Final = 4
+
+_NEWTON_STEPS: Final = 4  # From a few metres off they end within a millimetre.
+_LONGEST_STEP: Final = 12.0  # m; keeps Newton's method on its branch where the path turns back.
+
+
+class ReferencePath:
+    """A path with heading and curvature over arc length, linear between its points.
+
+    Attributes:
+        arclength: (P,) increasing, m.
+        points: (P, 2) m.
+        heading: (P,) rad, continuous.
+        curvature: (P,) 1/m, left positive.
+    """
+
+    def __init__(
+        self,
+        arclength: FloatArray,
+        points: FloatArray,
+        heading: FloatArray,
+        curvature: FloatArray,
+        *,
+        thinning: float = 0.0,
+    ) -> None:
+        """Prepares the look-ups.
+
+        Args:
+            arclength: (P,) increasing, m.
+            points: (P, 2) m.
+            heading: (P,) rad, continuous.
+            curvature: (P,) 1/m, left positive.
+            thinning: How far the line that points are located on may be off the path, m: a line
+                of fewer points is searched quicker.
+        """
+        self.arclength = arclength
+        self.points = points
+        self.heading = heading
+        self.curvature = curvature
+        line = shapely.LineString(points)
+        self._line = line.simplify(thinning, preserve_topology=False) if thinning else line
+
+    @classmethod
+    def of(cls, route: Route) -> Self:
+        """The path of a route.
+
+        Args:
+            route: The route.
+
+        Returns:
+            Its path.
+        """
+        return cls(route.arclength, route.path, route.heading, route.curvature)
+
+    def locate(self, points: FloatArray) -> FloatArray:
+        """Arc lengths of the nearest points of the whole path.
+
+        Args:
+            points: (..., 2) m.
+
+        Returns:
+            (...) m.
+        """
+        along = shapely.line_locate_point(self._line, shapely.points(points))
+        return np.asarray(along + self.arclength[0])
+
+    def heading_at(self, arclength: FloatArray | float) -> FloatArray:
+        """Heading of the path.
+
+        Args:
+            arclength: (...) m.
+
+        Returns:
+            (...) rad, continuous; beyond the ends that of the ends.
+        """
+        return np.asarray(np.interp(arclength, self.arclength, self.heading))
+
+    def curvature_at(self, arclength: FloatArray | float) -> FloatArray:
+        """Curvature of the path.
+
+        Args:
+            arclength: (...) m.
+
+        Returns:
+            (...) 1/m, left positive; beyond the ends that of the ends.
+        """
+        return np.asarray(np.interp(arclength, self.arclength, self.curvature))
+
+    def offset(self, points: FloatArray, arclength: FloatArray | float) -> FloatArray:
+        """Lateral distance from the path.
+
+        Args:
+            points: (..., 2) m.
+            arclength: (...) their arc lengths, m.
+
+        Returns:
+            (...) m, left positive.
+        """
+        heading = self.heading_at(arclength)
+        x = np.interp(arclength, self.arclength, self.points[:, 0])
+        y = np.interp(arclength, self.arclength, self.points[:, 1])
+        return np.asarray(
+            np.cos(heading) * (points[..., 1] - y) - np.sin(heading) * (points[..., 0] - x)
+        )
+
+
+class EvenPath(ReferencePath):
+    """A path whose points are equally spaced in arc length and begin at zero.
+
+    What holds at an arc length is found by a division instead of a search: for planners that ask
+    for thousands of them in a cycle.
+
+    Attributes:
+        length: m.
+        table: (P, 4 + more) x, y, m, heading, rad, curvature, 1/m, and the columns that were
+            added; a row per point.
+    """
+
+    def __init__(
+        self,
+        arclength: FloatArray,
+        points: FloatArray,
+        heading: FloatArray,
+        curvature: FloatArray,
+        more: Sequence[FloatArray] = (),
+    ) -> None:
+        """Lays out the table.
+
+        Args:
+            arclength: (P,) equally spaced from zero on, m.
+            points: (P, 2) m.
+            heading: (P,) rad, continuous.
+            curvature: (P,) 1/m, left positive.
+            more: Columns of (P,) that are to be looked up as well.
+        """
+        super().__init__(arclength, points, heading, curvature)
+        self.length = float(arclength[-1])
+        self.table: FloatArray = np.column_stack([points, heading, curvature, *more])
+        self._spacing = self.length / (len(arclength) - 1)
+
+    def at(self, arclength: FloatArray) -> FloatArray:
+        """Rows of the table, linear between its points.
+
+        Args:
+            arclength: (...) m; clipped to the path.
+
+        Returns:
+            (..., 4 + more) as the columns of ``table``.
+        """
+        position = np.clip(arclength / self._spacing, 0.0, len(self.table) - 1.000001)
+        low = position.astype(np.int64)
+        part = (position - low)[..., None]
+        return np.asarray(self.table[low] * (1.0 - part) + self.table[low + 1] * part)
+
+    def project(
+        self, points: FloatArray, guess: FloatArray, iterations: int = _NEWTON_STEPS
+    ) -> tuple[FloatArray, FloatArray]:
+        """Projects points near a guess, by Newton's method on the table.
+
+        Args:
+            points: (..., 2) m.
+            guess: (...) arc lengths to begin with, m.
+            iterations: Newton steps; one is enough next to a guess within a metre.
+
+        Returns:
+            (...) arc lengths, m, and (...) lateral distances, m, left positive.
+        """
+        s = np.array(guess, dtype=np.float64)
+        for _ in range(iterations):
+            along, across, curvature = self._frame(points, s)
+            shrink = np.maximum(1.0 - curvature * across, 0.3)
+            s = np.clip(
+                s + np.clip(along / shrink, -_LONGEST_STEP, _LONGEST_STEP), 0.0, self.length
+            )
+        return s, self._frame(points, s)[1]
+
+    def _frame(
+        self, points: FloatArray, s: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Distances of points along and across the tangents at arc lengths; the curvature there."""
+        row = self.at(s)
+        dx, dy = points[..., 0] - row[..., PATH_X], points[..., 1] - row[..., PATH_Y]
+        cos, sin = np.cos(row[..., PATH_HEADING]), np.sin(row[..., PATH_HEADING])
+        return cos * dx + sin * dy, cos * dy - sin * dx, row[..., PATH_CURVATURE]
+
+
+def braking_envelope(
+    squared_limit: FloatArray, arclength: FloatArray, deceleration: float
+) -> FloatArray:
+    """Largest speed from which every later limit can still be met by braking.
+
+    Args:
+        squared_limit: (P,) square of the speed limit, m2/s2.
+        arclength: (P,) increasing, m.
+        deceleration: m/s2.
+
+    Returns:
+        (P,) m/s: ``min over j >= i of sqrt(limit_j^2 + 2 a (s_j - s_i))``.
+    """
+    way = 2.0 * deceleration * arclength
+    ahead = np.minimum.accumulate((squared_limit + way)[::-1])[::-1]
+    return np.asarray(np.sqrt(np.maximum(ahead - way, 0.0)))

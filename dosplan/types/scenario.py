@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from shapely.geometry import MultiPolygon, Polygon
+from shapely import Geometry
 
 from dosplan.types.arrays import (
     EGO_SIZE,
@@ -86,13 +86,14 @@ class RoadMap:
 
     Attributes:
         lanelets: Every lanelet of the map.
-        drivable: Union of **all** lanelets, m; the ego's rectangle must stay inside it. Footways
-            and bicycle lanes belong to it, as they do for CommonRoad's own drivability checker:
-            no route leads over them, but to touch one is not to leave the road.
+        drivable: Union of **all** lanelets, a polygon or several, m; the ego's rectangle must stay
+            inside it. Footways and bicycle lanes belong to it, as they do for CommonRoad's own
+            drivability checker: no route leads over them, but to touch one is not to leave the
+            road.
     """
 
     lanelets: tuple[Lanelet, ...]
-    drivable: Polygon | MultiPolygon
+    drivable: Geometry
 
 
 @dataclass(frozen=True)
@@ -146,14 +147,15 @@ class GoalState:
     Attributes:
         first_step: First step at which the goal counts.
         last_step: Last step at which the goal counts.
-        region: Where the ego's **centre** must be, m; None where any place will do.
+        region: Polygon, or several, in which the ego's **centre** must be, m; None where any
+            place will do.
         heading: Lower and upper heading, rad, or None.
         velocity: Lower and upper velocity, m/s, or None.
     """
 
     first_step: int
     last_step: int
-    region: Polygon | MultiPolygon | None = None
+    region: Geometry | None = None
     heading: tuple[float, float] | None = None
     velocity: tuple[float, float] | None = None
 

@@ -18,8 +18,8 @@ import pytest
 import shapely
 
 from dosplan.scenario import ScenarioRef, cache, find_scenarios, load_scenario
-from dosplan.scenario.cache import pack_scenario, unpack_scenario
 from dosplan.scenario.synthetic import straight_scenario
+from dosplan.system.arrays_file import pack, unpack
 from dosplan.system.folders import cache_folder
 from dosplan.types import Scenario
 from tests.support.scenes import Goal, Problem, User, circle, driving, polygon, write_scenario_xml
@@ -92,14 +92,14 @@ def test_every_field_comes_back(scene: Path, folder: Path) -> None:
 @pytest.mark.parametrize("row", each())
 def test_every_field_of_a_suite_scenario_comes_back(row: dict[str, str]) -> None:
     scenario = load_scenario(SUITE / row["file"])
-    assert_equal(unpack_scenario(pack_scenario(scenario)), scenario)
+    assert_equal(unpack(pack(scenario), Scenario), scenario)
 
 
 def test_another_vehicle_comes_back() -> None:
     scenario = straight_scenario()
     van = replace(scenario.task.vehicle, length=6.0, max_steering=0.6)
     scenario = replace(scenario, task=replace(scenario.task, vehicle=van))
-    assert unpack_scenario(pack_scenario(scenario)).task.vehicle == van
+    assert unpack(pack(scenario), Scenario).task.vehicle == van
 
 
 def test_a_hit_parses_nothing(scene: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,7 +179,7 @@ def _flip(path: Path) -> None:
 def _of_other_lengths(path: Path) -> None:
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files}
-    arrays["numbers"] = arrays["numbers"][:-7]
+    arrays["data"] = arrays["data"][:-7]
     np.savez(path, **arrays)
 
 
@@ -194,7 +194,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "pickle inside": _pickled_inside,
     "other lengths": _of_other_lengths,
     "deep header": lambda path: np.savez(
-        path, header=np.frombuffer(b"[" * 100_000, dtype=np.uint8), shapes=[], numbers=[]
+        path, header=np.frombuffer(b"[" * 100_000, dtype=np.uint8), data=[]
     ),
 }
 
@@ -211,7 +211,7 @@ def test_a_damaged_entry_is_made_anew(
     DAMAGES[damage](entry)
     assert entry.read_bytes() != good
     assert_equal(load_scenario(ref, cached=True), plain)
-    assert_equal(unpack_scenario(entry.read_bytes()), plain)
+    assert_equal(unpack(entry.read_bytes(), Scenario), plain)
     assert not (folder.parent / "bomb").exists()
 
 
@@ -260,5 +260,5 @@ def test_an_entry_is_a_zip_of_plain_arrays(scene: Path, folder: Path) -> None:
     scenario: Scenario = load_scenario(find_scenarios(scene)[0], cached=True)
     (entry,) = _entries(folder)
     with zipfile.ZipFile(entry) as file:
-        assert sorted(file.namelist()) == ["header.npy", "numbers.npy", "shapes.npy"]
+        assert sorted(file.namelist()) == ["data.npy", "header.npy"]
     assert scenario.id.encode() in entry.read_bytes()

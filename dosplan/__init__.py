@@ -2,7 +2,7 @@
 
 What a script or a notebook needs is imported when it is asked for, so that ``import dosplan`` costs
 nothing: ``find_scenarios``, ``load_scenario``, ``run_episode``, ``run_suite``, ``open_run``,
-``compare``, ``Arm`` and ``ScenarioRef``.
+``compare``, ``Arm``, ``ScenarioRef`` and ``SerialExecutor``.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from dosplan._public import compare, open_run, run_episode, run_suite
+    from dosplan.running.executor import SerialExecutor
     from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
     from dosplan.types import Arm
 
@@ -20,6 +21,7 @@ __version__ = "0.4.0"
 __all__ = [
     "Arm",
     "ScenarioRef",
+    "SerialExecutor",
     "compare",
     "find_scenarios",
     "load_scenario",
@@ -31,6 +33,7 @@ __all__ = [
 _MODULES: Final = {
     "Arm": "dosplan.types",
     "ScenarioRef": "dosplan.scenario",
+    "SerialExecutor": "dosplan.running.executor",
     "find_scenarios": "dosplan.scenario",
     "load_scenario": "dosplan.scenario",
 }

@@ -1,7 +1,8 @@
 """The commands as functions, for scripts and notebooks: what ``import dosplan`` offers.
 
 A run drives in worker processes, which import the script that started it: a script that calls
-``run_suite`` does so below ``if __name__ == "__main__":``.
+``run_suite`` does so below ``if __name__ == "__main__":``, or has it drive in its own process:
+``run_suite(..., executor=SerialExecutor())``.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from dosplan.results.recording import Recording, load_recording
 from dosplan.results.rows import read_run
 from dosplan.results.summary import Summary, read_summary
 from dosplan.running.config import RunConfig, default_folder
+from dosplan.running.executor import Executor
 from dosplan.running.progress import Progress, ProgressObserver
 from dosplan.running.run import run
 from dosplan.scoring.score import score
@@ -143,6 +145,7 @@ def run_suite(
     *,
     out: str | Path | None = None,
     progress: Progress = lambda done, total: None,
+    executor: Executor | None = None,
     **settings: Any,
 ) -> Results:
     """Drives and scores many scenarios, as ``dosplan run`` does; resumes a run that was stopped.
@@ -153,6 +156,7 @@ def run_suite(
         predictor: A predictor's class, or the name of one.
         out: The run folder; ``runs/<date and time>`` by default.
         progress: Called with the number of finished episodes and of all.
+        executor: Drives the episodes; worker processes do by default.
         **settings: Further fields of ``dosplan.running.config.RunConfig``, such as ``limit=10``,
             ``workers=2``, ``predictor_options={"coverage": 0.9}`` or ``solutions=True``. Unlike
             there, every CPU has a worker and parsed scenarios are kept.
@@ -173,7 +177,7 @@ def run_suite(
         predictor=_spec(predictor),
         **{"workers": os.cpu_count() or 1, "cache": True, **settings},
     )
-    return open_run(run(config, ProgressObserver(progress)).path)
+    return open_run(run(config, ProgressObserver(progress), executor).path)
 
 
 def open_run(path: str | Path) -> Results:

@@ -29,6 +29,7 @@ examples:
   dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
   dosplan run --predictor ground-truth --unranked
   dosplan run --quiet --json > figures.json      for scripts
+  dosplan run --planner mine.py:MyPlanner --limit 1 --in-process    stops at breakpoint()
 """
 
 Setting = tuple[str, str, Any]
@@ -73,6 +74,7 @@ class RunCommand:
         from dosplan.results.rows import read_rows
         from dosplan.results.summary import read_summary
         from dosplan.running.config import default_folder
+        from dosplan.running.executor import SerialExecutor
         from dosplan.running.progress import Observer
         from dosplan.running.run import RunConfig, run
         from dosplan.types import Arm
@@ -97,9 +99,10 @@ class RunCommand:
             solutions=options.solutions,
         )
         try:
-            shown = nullcontext(Observer()) if options.quiet else show_run(console(stderr=True))
-            with shown as observer:
-                folder = run(config, observer)
+            # A table that is drawn anew would hide the prompt of a debugger.
+            shown = show_run(console(stderr=True), live=not options.in_process)
+            with nullcontext(Observer()) if options.quiet else shown as observer:
+                folder = run(config, observer, SerialExecutor() if options.in_process else None)
         except KeyboardInterrupt:
             hint = f"the same command with --out {shlex.quote(str(config.out))} resumes"
             print(f"dosplan: interrupted; {hint}", file=sys.stderr)
@@ -198,10 +201,17 @@ def _add_how_to_drive(parser: argparse.ArgumentParser) -> None:
         metavar="MB",
         help="resident memory at which a worker process is ended (default: %(default)s)",
     )
-    parser.add_argument(
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
         "--cluster",
         metavar="ADDRESS",
         help="drive on a Dask cluster: tcp://host:port of its scheduler, or local:N processes",
+    )
+    where.add_argument(
+        "--in-process",
+        action="store_true",
+        help="drive in this process, one episode after another, so that breakpoint() in a plug-in "
+        "stops there; --workers, --timeout and --memory-limit have no effect",
     )
     parser.add_argument(
         "--no-cache", action="store_true", help="parse every scenario anew, and keep none"

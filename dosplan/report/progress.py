@@ -53,7 +53,9 @@ def show_progress(console: Console, unit: str) -> Iterator[Callable[[int, int], 
 
 
 @contextmanager
-def show_run(console: Console, clock: Clock = time.monotonic) -> Iterator[Observer]:
+def show_run(
+    console: Console, clock: Clock = time.monotonic, *, live: bool = True
+) -> Iterator[Observer]:
     """Shows how a run goes on while the block runs.
 
     A terminal has a table, which goes when the block ends. Elsewhere there is a line for each
@@ -62,12 +64,14 @@ def show_run(console: Console, clock: Clock = time.monotonic) -> Iterator[Observ
     Args:
         console: Where to.
         clock: The time, s.
+        live: Whether a terminal may have the table, which takes standard output, too, as long as
+            it is shown.
 
     Yields:
         What the runner reports to.
     """
     tally = _Tally(clock)
-    if not console.is_terminal:
+    if not (live and console.is_terminal):
         yield _LineObserver(console, tally, clock)
         return
     # It is drawn anew several times a second, since the time left changes between two rows.

@@ -15,7 +15,7 @@ import signal
 from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from threading import Lock
 from typing import Any, Final
@@ -25,7 +25,7 @@ from dosplan.plugins.registry import source_files
 from dosplan.running.config import RunConfig, RunError
 from dosplan.running.executor import Results, Task
 from dosplan.running.job import EpisodeResult
-from dosplan.running.process import EpisodeProcess
+from dosplan.running.process import EpisodeProcesses
 from dosplan.scenario import ScenarioRef
 from dosplan.scoring.score import failed_score
 from dosplan.system.errors import one_line
@@ -49,42 +49,44 @@ _CLOSE_SECONDS: Final = 1.0
 _WORKER_NAME: Final = "Dask Worker process"
 
 
+@dataclass(frozen=True)
 class DaskExecutor:
-    """Drives on the workers of a Dask cluster."""
+    """Drives on the workers of a Dask cluster; connects when it is to drive.
 
-    def __init__(self, config: RunConfig, address: str) -> None:
-        """Connects to nothing yet.
+    Attributes:
+        address: Address of the scheduler, such as ``tcp://host:8786``, or ``local:N`` for N
+            workers on this machine.
 
-        Args:
-            config: The run.
-            address: Address of the scheduler, such as ``tcp://host:8786``, or ``local:N`` for N
-                workers on this machine.
+    Raises:
+        RunError: It is not such an address.
+    """
 
-        Raises:
-            RunError: It is not such an address.
-        """
-        count = address.removeprefix(_LOCAL)
-        if address.startswith(_LOCAL) and not (count.isdecimal() and int(count) > 0):
-            raise RunError(f"cluster is {address!r}; local: takes a number of workers, as local:4")
+    address: str
+
+    def __post_init__(self) -> None:
+        count = self.address.removeprefix(_LOCAL)
+        if self.address.startswith(_LOCAL) and not (count.isdecimal() and int(count) > 0):
+            raise RunError(
+                f"cluster is {self.address!r}; local: takes a number of workers, as local:4"
+            )
+
+    def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
+        """Drives episodes, as ``Executor`` says."""
         # A worker stands in another folder.
-        self._config = replace(
+        config = replace(
             config, planner=_absolute(config.planner), predictor=_absolute(config.predictor)
         )
-        self._address = address
-
-    def drive(self, tasks: Iterable[Task]) -> Results:
-        """Drives episodes, as ``Executor`` says."""
         source = iter(tasks)
         pending: dict[str, Task] = {}
         _silence_dask()
-        with _connected(self._address) as client:
+        with _connected(self.address) as client:
             results: Any = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
 
             def hand_out(count: int) -> None:
                 for ref, arm in islice(source, count):
                     place = replace(ref, path=ref.path.absolute())
                     future = client.submit(
-                        _drive, place, arm, self._config, __version__, pure=False, retries=_RETRIES
+                        _drive, place, arm, config, __version__, pure=False, retries=_RETRIES
                     )
                     pending[future.key] = ref, arm
                     results.add(future)
@@ -97,7 +99,7 @@ class DaskExecutor:
                     yield task, self._result(future, task)
             except (OSError, CancelledError, ClosedClientError) as error:
                 raise RunError(
-                    f"lost the Dask scheduler at {self._address}; what was driven is kept, "
+                    f"lost the Dask scheduler at {self.address}; what was driven is kept, "
                     "and the same command resumes when a scheduler is there"
                 ) from error
             finally:
@@ -120,48 +122,31 @@ class DaskExecutor:
         raise RunError(f"a Dask worker cannot drive episodes: {one_line(error)}") from error
 
 
-@dataclass
-class _Processes:
-    """The episode processes of a Dask worker, all of one run."""
+class _Run:
+    """The run that a Dask worker drives episodes of, one at a time."""
 
-    lock: Lock = field(default_factory=Lock)
-    config: RunConfig | None = None
-    idle: list[EpisodeProcess] = field(default_factory=list)
-    busy: list[EpisodeProcess] = field(default_factory=list)
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._processes: EpisodeProcesses | None = None
 
-    @contextmanager
-    def borrowed(self, config: RunConfig) -> Iterator[EpisodeProcess]:
-        """Lends a process of a run; those of an earlier run are ended."""
-        with self.lock:
-            if config != self.config:
-                self._close_idle()
-                self.config = config
-            process = self.idle.pop() if self.idle else EpisodeProcess(config)
-            self.busy.append(process)
-        try:
-            yield process
-        finally:
-            with self.lock:
-                self.busy.remove(process)
-                if config == self.config:
-                    self.idle.append(process)
-                else:
-                    process.close()
+    def processes(self, config: RunConfig) -> EpisodeProcesses:
+        """The processes of a run; those of an earlier one end with their episodes."""
+        with self._lock:
+            if self._processes is None or self._processes.config != config:
+                if self._processes is not None:
+                    self._processes.retire()
+                self._processes = EpisodeProcesses(config)
+            return self._processes
 
     def stop(self) -> None:
         """Ends every process, whatever it is doing."""
-        with self.lock:
-            self.config = None
-            self._close_idle()
-            for process in self.busy:
-                process.stop()
-
-    def _close_idle(self) -> None:
-        while self.idle:
-            self.idle.pop().close()
+        with self._lock:
+            if self._processes is not None:
+                self._processes.stop()
+            self._processes = None
 
 
-_PROCESSES: Final = _Processes()
+_RUN: Final = _Run()
 
 
 def _drive(ref: ScenarioRef, arm: Arm, config: RunConfig, version: str) -> EpisodeResult:
@@ -174,13 +159,12 @@ def _drive(ref: ScenarioRef, arm: Arm, config: RunConfig, version: str) -> Episo
             "--no-nanny, or with DASK_DISTRIBUTED__WORKER__DAEMON=False in their environment"
         )
     os.environ.update(WORKER_ENVIRONMENT)
-    with _PROCESSES.borrowed(config) as process:
-        return process.drive(ref, arm)
+    return _RUN.processes(config).drive(ref, arm)
 
 
 async def _stop_processes() -> None:
     """Ends the episode processes; runs in each Dask worker."""
-    _PROCESSES.stop()
+    _RUN.stop()
 
 
 def _stop_driving(client: Any) -> None:

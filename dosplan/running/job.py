@@ -1,4 +1,4 @@
-"""One episode as a worker drives it: a scenario and an arm in, a row and its files out.
+"""One episode, wherever it is driven: a scenario and an arm in, a row and its files out.
 
 Nothing is written here: the runner alone writes, so that an episode may be driven on a machine
 that does not see the run folder.
@@ -12,8 +12,8 @@ and for each episode.
 from __future__ import annotations
 
 import traceback
+from bdb import BdbQuit
 from dataclasses import dataclass
-from functools import lru_cache
 
 from dosplan.api import Planner, Predictor
 from dosplan.plugins.registry import create_planner, create_predictor
@@ -30,7 +30,7 @@ from dosplan.types import Arm, EpisodeEnd, Score
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """What comes back from a worker.
+    """What an episode gives.
 
     Attributes:
         row: The row.
@@ -43,38 +43,81 @@ class EpisodeResult:
     traceback: str | None = None
 
 
-def drive_episode(ref: ScenarioRef, arm: Arm, config: RunConfig) -> EpisodeResult:
-    """Drives, scores and records one episode.
+class Session:
+    """What a process keeps from one episode of a run to the next: the plug-ins."""
+
+    def __init__(self, config: RunConfig, *, attended: bool = False) -> None:
+        """Makes no plug-in yet.
+
+        Args:
+            config: The run.
+            attended: Whether a person may be at a debugger in this process; leaving it (``q``
+                in ``pdb``) then ends the run, as Ctrl-C does.
+        """
+        self._config = config
+        self._attended = attended
+        self._plugins: tuple[Planner, Predictor] | None = None
+
+    def drive(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+        """Drives, scores and records one episode.
+
+        Args:
+            ref: The scenario.
+            arm: The arm.
+
+        Returns:
+            Its row and files. Whatever a plug-in or a scenario file raises becomes a row, too.
+
+        Raises:
+            KeyboardInterrupt: Somebody interrupts, or a plug-in raises it, which looks the same.
+        """
+        config = self._config
+        raised: list[BaseException] = []
+        # Those that come well through the episode are put back at its end.
+        plugins, self._plugins = self._plugins, None
+        try:
+            seed_globals(config.seed)
+            planner, predictor = plugins = plugins or _make_plugins(config)
+            seed_globals(config.seed)
+            scenario = load_scenario(ref, cached=config.cache)
+            simulation = SimulationConfig(replan_every=config.replan_every)
+            episode = run_episode(scenario, planner, predictor, arm, simulation, raised.append)
+            row = score(scenario, episode)
+            row_line(row)  # What is no number is told here, not when the runner appends the row.
+            recording = pack_recording(scenario, episode)
+        except (Exception, SystemExit) as error:
+            self._end_if_quit(error)
+            return failed_result(ref, arm, error)
+        for failure in raised:
+            self._end_if_quit(failure)
+        if episode.end is not EpisodeEnd.PLANNER_FAILURE:
+            self._plugins = plugins
+        return EpisodeResult(row, recording, _text(raised[0]) if raised else None)
+
+    def _end_if_quit(self, error: BaseException) -> None:
+        """Ends the run where a person has left the debugger, whatever has become of that."""
+        cause: BaseException | None = error if self._attended else None
+        while cause is not None:
+            if isinstance(cause, BdbQuit):
+                raise KeyboardInterrupt from error
+            cause = cause.__cause__ or cause.__context__
+
+
+def failed_result(ref: ScenarioRef, arm: Arm, error: BaseException) -> EpisodeResult:
+    """The result of an episode that an exception has ended.
 
     Args:
         ref: The scenario.
         arm: The arm.
-        config: The run.
+        error: What was raised.
 
     Returns:
-        Its row and files. Whatever a plug-in or a scenario file raises becomes a row, too.
+        A failed row and the traceback.
     """
-    raised: list[BaseException] = []
-    try:
-        seed_globals(config.seed)
-        planner, predictor = _plugins(config)
-        seed_globals(config.seed)
-        scenario = load_scenario(ref, cached=config.cache)
-        simulation = SimulationConfig(replan_every=config.replan_every)
-        episode = run_episode(scenario, planner, predictor, arm, simulation, raised.append)
-        row = score(scenario, episode)
-        row_line(row)  # What is no number is told here, not by the runner when it appends the row.
-        recording = pack_recording(scenario, episode)
-    except BaseException as error:  # KeyboardInterrupt, too: only a plug-in raises it here.
-        _plugins.cache_clear()
-        return EpisodeResult(failed_score(ref.id, arm, one_line(error)), traceback=_text(error))
-    if episode.end is EpisodeEnd.PLANNER_FAILURE:
-        _plugins.cache_clear()
-    return EpisodeResult(row, recording, _text(raised[0]) if raised else None)
+    return EpisodeResult(failed_score(ref.id, arm, one_line(error)), traceback=_text(error))
 
 
-@lru_cache(maxsize=1)
-def _plugins(config: RunConfig) -> tuple[Planner, Predictor]:
+def _make_plugins(config: RunConfig) -> tuple[Planner, Predictor]:
     return (
         create_planner(config.planner, config.seed, config.planner_options),
         create_predictor(config.predictor, config.seed, config.predictor_options),

@@ -15,17 +15,18 @@ import multiprocessing
 import os
 import signal
 import time
+from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
-from threading import Event
+from contextlib import contextmanager, suppress
+from threading import Event, Lock
 from typing import Any, Final
 
 import psutil
 from pebble import ProcessExpired, ProcessPool
 
 from dosplan.running.config import RunConfig, RunError
-from dosplan.running.job import EpisodeResult, drive_episode
+from dosplan.running.job import EpisodeResult, Session, failed_result
 from dosplan.scenario import ScenarioRef
 from dosplan.scoring.score import failed_score
 from dosplan.system.errors import one_line
@@ -101,7 +102,10 @@ class EpisodeProcess:
         if self._pool is None:
             self._pid = self._context.Value("i", 0, lock=False)
             self._pool = ProcessPool(
-                1, initializer=_prepare, initargs=(self._pid,), context=self._context
+                1,
+                initializer=_prepare,
+                initargs=(self._pid, self._config),
+                context=self._context,
             )
         healthy = False
         try:
@@ -118,7 +122,7 @@ class EpisodeProcess:
 
     def _schedule(self, pool: ProcessPool, ref: ScenarioRef, arm: Arm) -> Future[EpisodeResult]:
         try:
-            return pool.schedule(drive_episode, (ref, arm, self._config))
+            return pool.schedule(_drive, (ref, arm))
         except RuntimeError as error:  # Its process was killed while it waited for work.
             raise _NotTakenUpError from error
 
@@ -159,9 +163,91 @@ class EpisodeProcess:
         return None if error is None else one_line(error)
 
 
-def _prepare(pid: Any) -> None:
+class EpisodeProcesses:
+    """The episode processes of a run on this machine: as many as threads drive at a time."""
+
+    def __init__(self, config: RunConfig) -> None:
+        """Starts nothing yet.
+
+        Args:
+            config: The run.
+        """
+        self.config = config
+        self._lock = Lock()
+        self._idle: list[EpisodeProcess] = []
+        self._busy: list[EpisodeProcess] = []
+        self._retired = self._stopped = False
+
+    def drive(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+        """Drives one episode in a process that is idle, or in a new one; blocks.
+
+        Args:
+            ref: The scenario.
+            arm: The arm.
+
+        Returns:
+            As ``EpisodeProcess.drive`` returns it.
+
+        Raises:
+            RunError: No process lives long enough to take up the episode.
+            CancelledError: ``stop`` was called.
+        """
+        with self._lent() as process:
+            return process.drive(ref, arm)
+
+    def retire(self) -> None:
+        """Ends every process as soon as it is idle."""
+        with self._lock:
+            self._retired = True
+            self._close_idle()
+
+    def stop(self) -> None:
+        """Ends every process, whatever it is doing, and starts no more."""
+        with self._lock:
+            self._retired = self._stopped = True
+            self._close_idle()
+            for process in self._busy:
+                process.stop()
+
+    @contextmanager
+    def _lent(self) -> Iterator[EpisodeProcess]:
+        with self._lock:
+            if self._stopped:
+                raise CancelledError
+            process = self._idle.pop() if self._idle else EpisodeProcess(self.config)
+            self._busy.append(process)
+        try:
+            yield process
+        finally:
+            with self._lock:
+                self._busy.remove(process)
+                if self._retired:
+                    process.close()
+                else:
+                    self._idle.append(process)
+
+    def _close_idle(self) -> None:
+        while self._idle:
+            self._idle.pop().close()
+
+
+class _Worker:
+    """What an episode process keeps; set when it starts."""
+
+    session: Session
+
+
+def _prepare(pid: Any, config: RunConfig) -> None:
     prepare_worker()
+    _Worker.session = Session(config)
     pid.value = os.getpid()
+
+
+def _drive(ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+    try:
+        return _Worker.session.drive(ref, arm)
+    except BaseException as error:  # KeyboardInterrupt: here only a plug-in raises it.
+        return failed_result(ref, arm, error)
 
 
 def _kill_group(pid: int) -> None:

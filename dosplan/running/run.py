@@ -37,12 +37,18 @@ __all__ = ["RunConfig", "RunError", "run"]
 _PARTS: Final = ("episodes", "solutions")
 
 
-def run(config: RunConfig, observer: Observer = Observer()) -> RunFolder:  # noqa: B008 - no state
+def run(
+    config: RunConfig,
+    observer: Observer = Observer(),  # noqa: B008 - no state
+    executor: Executor | None = None,
+) -> RunFolder:
     """Drives every episode of a run, or those that an interrupted one left.
 
     Args:
         config: The run.
         observer: Is told of the rows that are there and of each that comes.
+        executor: Drives the episodes; by default, what the configuration names: its cluster, or
+            its number of worker processes on this machine.
 
     Returns:
         The run folder, complete.
@@ -61,7 +67,7 @@ def run(config: RunConfig, observer: Observer = Observer()) -> RunFolder:  # noq
         kept, left = _unfinished(folder, tasks)
         observer.begin(dict.fromkeys(config.arms, len(refs)), kept)
         if left:
-            _drive(folder, left, _executor(config), observer)
+            _drive(folder, config, left, executor or _executor(config), observer)
         by_task = {(row.scenario, row.arm): row for row in read_rows(folder.rows)}
         rows = [by_task[ref.id, arm] for ref, arm in tasks]
         write_rows(folder.rows, rows)
@@ -75,10 +81,10 @@ def run(config: RunConfig, observer: Observer = Observer()) -> RunFolder:  # noq
 
 def _executor(config: RunConfig) -> Executor:
     if config.cluster is None:
-        return LocalExecutor(config)
+        return LocalExecutor(config.workers)
     from dosplan.running.dask_cluster import DaskExecutor  # Of an optional dependency.
 
-    return DaskExecutor(config, config.cluster)
+    return DaskExecutor(config.cluster)
 
 
 def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> tuple[list[Score], list[Task]]:
@@ -100,9 +106,14 @@ def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> tuple[list[Score], 
     return list(kept.values()), left
 
 
-def _drive(folder: RunFolder, tasks: list[Task], executor: Executor, observer: Observer) -> None:
+def _drive(
+    folder: RunFolder, config: RunConfig, tasks: list[Task], executor: Executor, observer: Observer
+) -> None:
     """Drives episodes and writes what they give as they end."""
-    with folder.rows.open("ab", buffering=0) as file, closing(executor.drive(tasks)) as results:
+    with (
+        folder.rows.open("ab", buffering=0) as file,
+        closing(executor.drive(config, tasks)) as results,
+    ):
         for (ref, arm), result in results:
             _write_files(folder, ref, arm, result)
             append_row(file, result.row)

@@ -23,7 +23,7 @@ from dosplan.report.tables import table
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import load_cycle_ms
 from dosplan.results.rows import append_row, read_rows
-from dosplan.running.job import drive_episode
+from dosplan.running.job import Session
 from dosplan.running.process import EpisodeProcess
 from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunConfig, run
@@ -194,7 +194,7 @@ def _measure_parts(config: RunConfig, place: Path) -> dict[str, float]:
     listed = time.perf_counter()
     content_digest(ref.path for ref in refs)
     digested = time.perf_counter()
-    result = drive_episode(refs[0], Arm.WITHOUT_DOS, config)
+    result = Session(config).drive(refs[0], Arm.WITHOUT_DOS)
     folder = RunFolder(place / "written")
     folder.path.mkdir()
     seconds = []

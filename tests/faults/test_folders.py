@@ -25,17 +25,12 @@ from tests.support.fault_runs import (
     untimed,
     write_scenes,
 )
-from tests.support.runs import InProcess
+from tests.support.runs import run_here
 
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_scenes(tmp_path_factory.mktemp("scenes"), 2)
-
-
-@pytest.fixture
-def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "LocalExecutor", InProcess)
 
 
 @pytest.fixture
@@ -79,7 +74,6 @@ def test_a_disk_that_fills_up_is_one_line_and_the_run_resumes_when_there_is_room
     assert untimed(run(config)) == undisturbed
 
 
-@pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("room", range(200, 2200, 300))
 def test_a_row_that_does_not_fit_is_one_line_and_is_driven_again(
     scenes: Path, tmp_path: Path, room: int, monkeypatch: pytest.MonkeyPatch
@@ -93,15 +87,14 @@ def test_a_row_that_does_not_fit_is_one_line_and_is_driven_again(
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
     try:
         with pytest.raises(FileError, match=r"cannot write .*scenarios\.jsonl: File too large"):
-            run(config)
+            run_here(config)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     kept = rows_in(config.out)
     assert kept <= room // 400
     monkeypatch.undo()
-    monkeypatch.setattr(runner, "LocalExecutor", InProcess)
-    undisturbed = untimed(run(configured(tmp_path / "other", scenes)))
-    assert untimed(run(config)) == undisturbed
+    undisturbed = untimed(run_here(configured(tmp_path / "other", scenes)))
+    assert untimed(run_here(config)) == undisturbed
 
 
 def test_a_folder_that_may_not_be_written_is_one_line(
@@ -125,10 +118,9 @@ def test_a_folder_without_permission_is_one_line(
     assert line == f"dosplan: error: cannot write {out}/run.json: Permission denied"
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_folder_of_another_configuration_is_left_as_it_is(scenes: Path, tmp_path: Path) -> None:
     config = configured(tmp_path / "run", scenes, limit=1)
-    run(config)
+    run_here(config)
     before = {path: path.read_bytes() for path in config.out.rglob("*.*")}
     changes: list[dict[str, Any]] = [
         {"seed": 1},
@@ -138,20 +130,19 @@ def test_a_folder_of_another_configuration_is_left_as_it_is(scenes: Path, tmp_pa
     ]
     for change in changes:
         with pytest.raises(RunError, match=f"another {next(iter(change))}; nothing was changed"):
-            run(configured(config.out, scenes, **{"limit": 1, **change}))
+            run_here(configured(config.out, scenes, **{"limit": 1, **change}))
     assert {path: path.read_bytes() for path in config.out.rglob("*.*")} == before
     # What does not reach a row may change.
-    run(configured(config.out, scenes, limit=1, workers=3, cache=True, cluster="local:1"))
+    run_here(configured(config.out, scenes, limit=1, workers=3, cache=True, cluster="local:1"))
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_run_json_half_written_by_one_that_was_killed_is_no_obstacle(
     scenes: Path, tmp_path: Path
 ) -> None:
     config = configured(tmp_path / "run", scenes, limit=1)
     config.out.mkdir()
     (config.out / ".run.json.4711.part").write_text('{"config"')
-    assert [path.name for path in run(config).path.glob(".*.part")] == []
+    assert [path.name for path in run_here(config).path.glob(".*.part")] == []
 
 
 def test_usage_errors_and_failures_have_their_exit_codes(scenes: Path, tmp_path: Path) -> None:

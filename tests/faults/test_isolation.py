@@ -107,5 +107,5 @@ def test_processes_that_cannot_start_end_the_run(
         run(configured(tmp_path / "run", scenes))
 
 
-def _die(pid: object) -> None:
+def _die(*_: object) -> None:
     os.kill(os.getpid(), signal.SIGKILL)

@@ -26,7 +26,7 @@ from tests.support.fault_runs import (
     untimed,
     write_scenes,
 )
-from tests.support.runs import InProcess
+from tests.support.runs import run_here
 
 EPISODES = 4  # Two scenarios in both arms.
 
@@ -39,11 +39,6 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def undisturbed(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
     return untimed(run(configured(tmp_path_factory.mktemp("undisturbed") / "run", scenes)))
-
-
-@pytest.fixture
-def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "LocalExecutor", InProcess)
 
 
 def _run_and_die(config: RunConfig, moment: int) -> None:
@@ -83,7 +78,6 @@ def _run_and_die(config: RunConfig, moment: int) -> None:
 MOMENTS = 2 * (5 + EPISODES) + EPISODES
 
 
-@pytest.mark.usefixtures("in_process")
 @pytest.mark.parametrize("moment", range(MOMENTS + 1))
 def test_a_run_that_was_killed_at_any_moment_is_resumed(
     scenes: Path, tmp_path: Path, undisturbed: list[dict[str, Any]], moment: int
@@ -96,7 +90,7 @@ def test_a_run_that_was_killed_at_any_moment_is_resumed(
     assert child.exitcode == (0 if moment == MOMENTS else -signal.SIGKILL)
 
     driven: list[int] = []
-    folder = run(config, ProgressObserver(lambda done, total: driven.append(done)))
+    folder = run_here(config, ProgressObserver(lambda done, total: driven.append(done)))
     assert untimed(folder) == undisturbed
     assert not [path for path in folder.path.rglob(".*") if path.name != ".."]
     names = {path.name for path in folder.path.iterdir()}
@@ -142,27 +136,25 @@ def test_a_second_runner_is_kept_out(driving: Path, scenes: Path) -> None:
     assert (driving / "run.json").read_bytes() == before
 
 
-@pytest.mark.usefixtures("in_process")
 def test_rows_of_episodes_that_do_not_belong_are_dropped(
     scenes: Path, tmp_path: Path, undisturbed: list[dict[str, Any]]
 ) -> None:
     config = configured(tmp_path / "run", scenes)
-    folder = run(config)
+    folder = run_here(config)
     lines = folder.rows.read_text().splitlines(keepends=True)
     alien = lines[0].replace("ZAM_Fault-00", "ZAM_Alien-00")
     folder.rows.write_text("".join([alien, lines[2], lines[2], lines[1], lines[3], lines[0]]))
-    assert untimed(run(config)) == undisturbed
+    assert untimed(run_here(config)) == undisturbed
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_line_that_is_no_row_is_named_and_nothing_overwritten(
     scenes: Path, tmp_path: Path
 ) -> None:
     config = configured(tmp_path / "run", scenes)
-    folder = run(config)
+    folder = run_here(config)
     damaged = folder.rows.read_bytes().replace(b'"arm"', b"\x00\xff", 1)
     folder.rows.write_bytes(damaged)
     with pytest.raises(Exception, match=r"scenarios\.jsonl, line 1, is not a row") as caught:
-        run(config)
+        run_here(config)
     assert type(caught.value).__name__ == "FileError"
     assert RunFolder(config.out).rows.read_bytes() == damaged

@@ -13,18 +13,12 @@ import numpy as np
 import pytest
 
 from dosplan.cli.main import main
-from dosplan.running import run as runner
-from dosplan.running.run import RunError, run
+from dosplan.running.run import RunError
 from dosplan.scenario import find_scenarios
 from dosplan.system.files import FileError
 from dosplan.types import Outcome
 from tests.support.fault_runs import configured, untimed, write_scenes
-from tests.support.runs import InProcess
-
-
-@pytest.fixture(autouse=True)
-def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "LocalExecutor", InProcess)
+from tests.support.runs import run_here
 
 
 @pytest.fixture
@@ -65,7 +59,7 @@ def test_the_id_of_a_scenario_names_files_in_the_run_folder_only(
     )
     file.write_text(text)
     before = _files(tmp_path)
-    folder = run(configured(tmp_path / "deep" / "run", scenes, cache=True))
+    folder = run_here(configured(tmp_path / "deep" / "run", scenes, cache=True))
     new = _files(tmp_path) - before
     assert all(path.resolve().is_relative_to(folder.path.resolve()) for path in new)
     assert len([path for path in new if path.parent == folder.path / "episodes"]) == 2
@@ -78,7 +72,7 @@ def test_names_of_files_that_are_no_text_are_rows(scenes: Path, tmp_path: Path) 
     evil = os.fsencode(scenes) + b"/\xff\x1b[31m\n.xml"
     with open(evil, "wb") as file:  # noqa: PTH123 - a name in bytes
         file.write(b"<commonRoad")
-    folder = run(configured(tmp_path / "run", scenes))
+    folder = run_here(configured(tmp_path / "run", scenes))
     assert len(untimed(folder)) == 4
     assert main(["list", "scenarios", str(scenes)]) == 0
 
@@ -89,7 +83,7 @@ def test_what_is_no_regular_file_is_a_row_and_waits_for_nobody(
     os.mkfifo(scenes / "pipe.xml")
     (scenes / "endless.xml").symlink_to("/dev/zero")
     (scenes / "nowhere.xml").symlink_to("/no/such/file")
-    rows = untimed(run(configured(tmp_path / "run", scenes)))
+    rows = untimed(run_here(configured(tmp_path / "run", scenes)))
     errors = {row["scenario"]: str(row["error"]) for row in rows}
     assert "is not a regular file" in errors["pipe"]
     assert "is not a regular file" in errors["endless"]
@@ -99,14 +93,14 @@ def test_what_is_no_regular_file_is_a_row_and_waits_for_nobody(
 
 def test_a_link_in_place_of_the_episodes_is_refused(scenes: Path, tmp_path: Path) -> None:
     config = configured(tmp_path / "run", scenes)
-    folder = run(config)
+    folder = run_here(config)
     outside = tmp_path / "outside"
     (folder.path / "episodes").rename(outside)
     (folder.path / "episodes").symlink_to(outside)
     for file in outside.iterdir():
         file.unlink()
     with pytest.raises(RunError, match="episodes is a link"):
-        run(config)
+        run_here(config)
     assert not _files(outside)
 
 
@@ -115,26 +109,26 @@ def test_a_link_in_place_of_a_file_is_replaced_and_not_followed(
     scenes: Path, tmp_path: Path, name: str
 ) -> None:
     config = configured(tmp_path / "run", scenes)
-    folder = run(config)
+    folder = run_here(config)
     rows = untimed(folder)
     outside = tmp_path / "outside"
     (folder.path / name).rename(outside)
     kept = outside.read_bytes()
     (folder.path / name).symlink_to(outside)
     next((folder.path / "episodes").iterdir()).unlink()  # So that there is something to drive.
-    assert untimed(run(config)) == rows
+    assert untimed(run_here(config)) == rows
     assert outside.read_bytes() == kept
     assert not (folder.path / name).is_symlink()
 
 
 def test_a_link_where_a_file_is_being_written_is_not_followed(scenes: Path, tmp_path: Path) -> None:
     config = configured(tmp_path / "run", scenes)
-    folder = run(config)
+    folder = run_here(config)
     outside = tmp_path / "outside"
     outside.write_text("precious")
     for name in ("scenarios.jsonl", "summary.json"):
         (folder.path / f".{name}.{os.getpid()}.part").symlink_to(outside)
-    run(config)
+    run_here(config)
     assert outside.read_text() == "precious"
 
 
@@ -148,11 +142,11 @@ def test_an_episode_file_runs_no_code(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     config = configured(tmp_path / "run", scenes)
-    folder = run(config)
+    folder = run_here(config)
     for file in (folder.path / "episodes").iterdir():
         np.savez(file, allow_pickle=True, states=np.array([_Bomb()], dtype=object))
     with pytest.raises(FileError, match="is not an episode file"):
-        run(config)
+        run_here(config)
     assert not (tmp_path / "bomb").exists()
 
 
@@ -172,21 +166,21 @@ def test_what_a_run_folder_names_is_not_loaded(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "evil.py").write_text("from pathlib import Path\nPath('bomb').touch()\n")
     config = configured(tmp_path / "run", scenes)
-    folder = run(config)
+    folder = run_here(config)
     manifest = json.loads(folder.manifest.read_text())
     manifest["config"][key] = value
     folder.manifest.write_text(json.dumps(manifest))
     if key in ("planner", "predictor"):
         with pytest.raises(RunError, match=f"another {key}"):
-            run(config)
+            run_here(config)
     else:
-        run(config)
+        run_here(config)
     assert main(["compare", str(folder.path)]) == 0
     assert not (tmp_path / "bomb").exists()
 
 
 def test_ids_of_a_manifest_lead_nowhere(scenes: Path, tmp_path: Path) -> None:
-    folder = run(configured(tmp_path / "run", scenes))
+    folder = run_here(configured(tmp_path / "run", scenes))
     for path in (folder.manifest, folder.rows):
         path.write_text(path.read_text().replace("ZAM_Fault-00_1_T-1", "../../outside"))
     before = _files(tmp_path)
@@ -197,7 +191,7 @@ def test_ids_of_a_manifest_lead_nowhere(scenes: Path, tmp_path: Path) -> None:
 def test_deeply_nested_files_are_one_line(
     scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = run(configured(tmp_path / "run", scenes))
+    folder = run_here(configured(tmp_path / "run", scenes))
     capsys.readouterr()
     for path in (folder.rows, folder.manifest):
         path.write_text("[" * 200_000 + "\n")
@@ -206,5 +200,5 @@ def test_deeply_nested_files_are_one_line(
         assert str(path) in line
     (scenes / "deep.xml").write_text("<a>" * 200_000)
     ref = next(ref for ref in find_scenarios(scenes) if ref.id == "deep")
-    rows = untimed(run(configured(tmp_path / "other", scenes)))
+    rows = untimed(run_here(configured(tmp_path / "other", scenes)))
     assert {r["outcome"] for r in rows if r["scenario"] == ref.id} == {Outcome.PLANNER_FAILURE}

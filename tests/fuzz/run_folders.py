@@ -23,14 +23,14 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.recording import load_cycle_ms, load_recording
 from dosplan.results.rows import read_run
 from dosplan.running import run as runner
-from dosplan.running.run import RunConfig, run
+from dosplan.running.run import RunConfig
 from dosplan.system.folders import cache_folder
 from dosplan.system.provenance import Environment, Machine
 from dosplan.types import Arm
 from tests.fuzz.byte_damage import damage_binary
 from tests.fuzz.harness import Case, one_line_at_most, shell
 from tests.support.fault_runs import configured, write_scenes
-from tests.support.runs import InProcess
+from tests.support.runs import run_here
 
 RUN: Final = Path("run")
 SCENES: Final = Path("scenes")
@@ -94,9 +94,9 @@ def _original() -> Path:
     """A folder with scenarios and a finished run of them; nobody may write to it."""
     cache_folder().mkdir(parents=True, exist_ok=True)  # Where every case may read.
     place = Path(tempfile.mkdtemp(dir=cache_folder()))
-    with chdir(place), _in_process(), pytest.MonkeyPatch.context() as patch:
+    with chdir(place), _without_git(), pytest.MonkeyPatch.context() as patch:
         patch.setattr("dosplan.api.time.perf_counter", lambda: 0.0)  # The same rows each time.
-        run(configured(RUN, write_scenes(SCENES, 2)))
+        run_here(configured(RUN, write_scenes(SCENES, 2)))
     return place
 
 
@@ -106,9 +106,8 @@ def _copied(case: Case) -> tuple[RunFolder, RunConfig]:
 
 
 @contextmanager
-def _in_process() -> Iterator[None]:
+def _without_git() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "LocalExecutor", InProcess)
         # The real one asks git, which takes longer than all the rest.
         patch.setattr(runner, "describe_environment", lambda: ENVIRONMENT)
         yield
@@ -131,8 +130,8 @@ def _use(case: Case, folder: RunFolder, config: RunConfig) -> None:
         scene = case.random.choice(names)
         shell("render", f"{folder.path}:{scene}", "--out", "film.png", codes=(OK, BAD_INPUT))
     done = False
-    with one_line_at_most(), _in_process():
-        run(config)
+    with one_line_at_most(), _without_git():
+        run_here(config)
         done = True
     if done:
         _, rows = read_run(folder.path)

@@ -17,13 +17,12 @@ from dosplan._public import Results, _spec
 from dosplan.cli.main import main
 from dosplan.plugins.registry import RegistryError
 from dosplan.results.comparison import CompareError
-from dosplan.running import run as runner
 from dosplan.running.config import RunError
+from dosplan.running.executor import SerialExecutor
 from dosplan.system.files import FileError
 from dosplan.types import Arm, Score
 from tests.support.fault_runs import PLANNERS, STILL, untimed, write_scenes
 from tests.support.faulty import CoastPlanner, StillPredictor
-from tests.support.runs import InProcess
 
 
 @pytest.fixture(scope="module")
@@ -32,13 +31,10 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "LocalExecutor", InProcess)
-
-
-@pytest.fixture
-def results(scenes: Path, tmp_path: Path, in_process: None) -> Results:
-    found: Results = dosplan.run_suite(scenes, CoastPlanner, STILL, out=tmp_path / "run")
+def results(scenes: Path, tmp_path: Path) -> Results:
+    found: Results = dosplan.run_suite(
+        scenes, CoastPlanner, STILL, out=tmp_path / "run", executor=SerialExecutor()
+    )
     return found
 
 
@@ -95,14 +91,19 @@ def test_a_run_is_that_of_the_command(
     assert opened.summary.arms[Arm.WITH_DOS].n == 2
 
 
-@pytest.mark.usefixtures("in_process")
 def test_settings_are_those_of_a_run(
     scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     done: list[int] = []
     found = dosplan.run_suite(
-        scenes, CoastPlanner, STILL, limit=1, solutions=True, progress=lambda d, _: done.append(d)
+        scenes,
+        CoastPlanner,
+        STILL,
+        limit=1,
+        solutions=True,
+        progress=lambda d, _: done.append(d),
+        executor=SerialExecutor(),
     )
     assert len(found.rows) == 2
     assert done == [0, 1, 2]
@@ -114,13 +115,18 @@ def test_settings_are_those_of_a_run(
         dosplan.run_suite(scenes, limit=0)
 
 
-@pytest.mark.usefixtures("in_process")
 def test_runs_are_compared_however_they_are_given(
     scenes: Path, results: Results, tmp_path: Path
 ) -> None:
     (arms,) = dosplan.compare(results)
     assert (arms.n, arms.success.difference) == (2, 0.0)
-    slow = dosplan.run_suite(scenes, f"{PLANNERS}:CoastPlanner", STILL, out=tmp_path / "other")
+    slow = dosplan.run_suite(
+        scenes,
+        f"{PLANNERS}:CoastPlanner",
+        STILL,
+        out=tmp_path / "other",
+        executor=SerialExecutor(),
+    )
     for a, b in ((results, slow), (results.path, str(slow.path))):
         assert [(c.a, c.b) for c in dosplan.compare(a, b)] == [
             (f"{results.path}:{arm}", f"{slow.path}:{arm}") for arm in Arm

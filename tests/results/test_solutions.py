@@ -14,14 +14,13 @@ from commonroad.common.solution import CommonRoadSolutionReader
 from dosplan.cli.main import main
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import load_recording
-from dosplan.running import run as runner
-from dosplan.running.run import RunError, run
+from dosplan.running.run import RunError
 from dosplan.scenario import ScenarioError
 from dosplan.scenario.commonroad.solution import Drive, solution_xml
 from dosplan.types import Arm, FloatArray
 from dosplan.vehicle import VehicleParameters
 from tests.support.fault_runs import PLANNERS, STILL, configured, write_scenes
-from tests.support.runs import InProcess
+from tests.support.runs import run_here
 from tests.support.scenes import Goal, Problem, rectangle, write_scenario_xml
 
 VEHICLE = VehicleParameters()
@@ -119,11 +118,6 @@ def test_problems_are_in_the_order_of_the_file(tmp_path: Path) -> None:
             solution_xml(path, {odd: driven(2)}, DATE)
 
 
-@pytest.fixture
-def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runner, "LocalExecutor", InProcess)
-
-
 def shared_scene(folder: Path) -> Path:
     """Two egos in two lanes of one file, beside a broken file and one of a single problem."""
     write_scenes(folder, 1)
@@ -137,10 +131,9 @@ def shared_scene(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_run_writes_one_solution_per_file_and_arm(tmp_path: Path) -> None:
     scenes = shared_scene(tmp_path / "scenes")
-    folder = run(configured(tmp_path / "run", scenes, solutions=True))
+    folder = run_here(configured(tmp_path / "run", scenes, solutions=True))
     single = "ZAM_Fault-00_1_T-1"
     found = {path.name: path for path in (folder.path / "solutions").iterdir()}
     assert sorted(found) == sorted(f"{n}.{arm}.xml" for n in (single, NAME) for arm in Arm)
@@ -155,7 +148,6 @@ def test_a_run_writes_one_solution_per_file_and_arm(tmp_path: Path) -> None:
         assert root.get("benchmark_id") == f"KS2:WX1:{single}:2020a"
 
 
-@pytest.mark.usefixtures("in_process")
 def test_solutions_can_be_asked_for_when_all_is_driven(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,11 +165,10 @@ def test_solutions_can_be_asked_for_when_all_is_driven(
     assert {path: path.read_bytes() for path in (out / "solutions").iterdir()} == written
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_link_in_place_of_the_solutions_is_refused(tmp_path: Path) -> None:
     config: Any = configured(tmp_path / "run", write_scenes(tmp_path / "scenes", 1), solutions=True)
-    folder: RunFolder = run(config)
+    folder: RunFolder = run_here(config)
     outside = (folder.path / "solutions").rename(tmp_path / "outside")
     (folder.path / "solutions").symlink_to(outside)
     with pytest.raises(RunError, match="solutions is a link"):
-        run(config)
+        run_here(config)

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,10 @@ from dosplan.plugins.registry import RegistryError
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import KEPT_EVERY, load_recording
 from dosplan.results.rows import read_rows
-from dosplan.running import job as episode
+from dosplan.running import job
 from dosplan.running import run as runner
-from dosplan.running.job import drive_episode
+from dosplan.running.executor import Results, Task
+from dosplan.running.job import Session
 from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunConfig, RunError, run
 from dosplan.scenario import ScenarioError, find_scenarios
@@ -31,11 +33,18 @@ from dosplan.system import workers
 from dosplan.system.files import FileError, read_json
 from dosplan.types import Arm, Outcome
 from tests.support import faulty
-from tests.support.runs import InProcess
+from tests.support.runs import run_here
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
 FAULTY = Path(faulty.__file__)
 STEPS = 10
+
+
+class NoExecutor:
+    """Of a run that has nothing to drive."""
+
+    def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
+        raise AssertionError("something is driven")
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +67,6 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def finished(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """A run of two scenarios in both arms, driven by a worker process."""
     return run(_config(tmp_path_factory.mktemp("finished"), scenes, limit=2))
-
-
-@pytest.fixture
-def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drives episodes in the test's own process, which is quicker."""
-    monkeypatch.setattr(runner, "LocalExecutor", InProcess)
 
 
 def _config(out: Path, scenes: Path, planner: str = "CoastPlanner", **changes: Any) -> RunConfig:
@@ -92,14 +95,11 @@ def test_rows_do_not_depend_on_the_number_of_workers(scenes: Path, tmp_path: Pat
     assert rows[0].velocity != pytest.approx(10.0, abs=1e-6)
 
 
-@pytest.mark.usefixtures("in_process")
 def test_the_seed_reaches_the_planner(scenes: Path, tmp_path: Path) -> None:
-    velocities = {
-        read_rows(run(_config(tmp_path / name, scenes, "RandomPlanner", seed=seed, limit=1)).rows)[
-            0
-        ].velocity
-        for name, seed in (("a", 0), ("b", 1), ("c", 1))
-    }
+    velocities = set()
+    for name, seed in (("a", 0), ("b", 1), ("c", 1)):
+        folder = run_here(_config(tmp_path / name, scenes, "RandomPlanner", seed=seed, limit=1))
+        velocities.add(read_rows(folder.rows)[0].velocity)
     assert len(velocities) == 2
 
 
@@ -128,21 +128,19 @@ def test_no_file_of_a_run_names_its_own_folder(finished: RunFolder) -> None:
 
 
 def test_a_finished_run_that_was_moved_is_not_driven_again(
-    scenes: Path, finished: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scenes: Path, finished: RunFolder, tmp_path: Path
 ) -> None:
     shutil.copytree(finished.path, tmp_path / "moved")
-    monkeypatch.setattr(runner, "LocalExecutor", None)  # Driving anything would raise.
     calls: list[tuple[int, int]] = []
     config = _config(tmp_path / "moved", scenes, limit=2, workers=2)
-    folder = run(config, ProgressObserver(lambda done, total: calls.append((done, total))))
+    observer = ProgressObserver(lambda done, total: calls.append((done, total)))
+    folder = run(config, observer, NoExecutor())
     for name in ("scenarios.jsonl", "run.json", "summary.json", "summary.md"):
         assert (folder.path / name).read_bytes() == (finished.path / name).read_bytes()
     assert calls == [(4, 4)]
 
 
-def test_options_reach_the_plugins_and_run_json(
-    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_options_reach_the_plugins_and_run_json(scenes: Path, tmp_path: Path) -> None:
     config = _config(tmp_path / "run", scenes, "TunedPlanner", limit=1, arms=(Arm.WITH_DOS,))
     options: dict[str, Any] = {
         "planner_options": {"acceleration": 2.0},
@@ -158,8 +156,7 @@ def test_options_reach_the_plugins_and_run_json(
     manifest, summary = read_json(folder.manifest), read_json(folder.summary)
     assert options.items() <= manifest["config"].items()
     assert options.items() <= summary["run"].items()
-    monkeypatch.setattr(runner, "LocalExecutor", None)  # Driving anything would raise.
-    assert read_rows(run(config).rows) == [row]
+    assert read_rows(run(config, executor=NoExecutor()).rows) == [row]
 
 
 def test_options_are_copied_and_travel_with_the_configuration() -> None:
@@ -172,9 +169,8 @@ def test_options_are_copied_and_travel_with_the_configuration() -> None:
     assert config != replace(config, planner_options=given)
 
 
-@pytest.mark.usefixtures("in_process")
 def test_one_arm_alone_has_no_comparison(scenes: Path, tmp_path: Path) -> None:
-    folder = run(_config(tmp_path / "run", scenes, limit=1, arms=(Arm.WITHOUT_DOS,)))
+    folder = run_here(_config(tmp_path / "run", scenes, limit=1, arms=(Arm.WITHOUT_DOS,)))
     assert read_json(folder.summary).keys() == {"without_dos", "run"}
 
 
@@ -218,21 +214,19 @@ def test_other_content_of_the_same_files_is_another_run(
         run(config)
 
 
-@pytest.mark.usefixtures("in_process")
 def test_the_same_source_by_another_path_is_the_same_run(scenes: Path, tmp_path: Path) -> None:
     config = _config(tmp_path / "run", scenes, limit=1)
-    text = run(config).rows.read_text()
-    again = run(replace(config, source=f"{scenes}/../{scenes.name}/"))
+    text = run_here(config).rows.read_text()
+    again = run_here(replace(config, source=f"{scenes}/../{scenes.name}/"))
     assert again.rows.read_text() == text
 
 
-@pytest.mark.usefixtures("in_process")
 def test_an_episode_whose_file_is_gone_is_driven_again(scenes: Path, tmp_path: Path) -> None:
     config = _config(tmp_path / "run", scenes, limit=1)
-    folder = run(config)
+    folder = run_here(config)
     recording = folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS)
     recording.unlink()
-    run(config)
+    run_here(config)
     assert recording.is_file()
 
 
@@ -250,24 +244,22 @@ def test_a_folder_that_holds_something_else_is_left_alone(scenes: Path, tmp_path
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_summary_is_headed_by_what_was_set(scenes: Path, tmp_path: Path) -> None:
     config = _config(
         tmp_path / "run", scenes, limit=1, predictor="growing-circle", predictor_options={"z": 0.7}
     )
-    heading = run(config).summary_text.read_text().splitlines()[0]
+    heading = run_here(config).summary_text.read_text().splitlines()[0]
     assert heading.endswith(", seed 0, predictor.z=0.7")
 
 
-@pytest.mark.usefixtures("in_process")
 def test_a_predictor_that_sees_the_future_is_refused_or_marked(
     scenes: Path, tmp_path: Path
 ) -> None:
     config = _config(tmp_path / "run", scenes, limit=1, predictor=f"{FAULTY}:SeerPredictor")
     with pytest.raises(RunError, match=r"seer-v1 is shown the future.*--unranked"):
-        run(config)
+        run_here(config)
     assert not config.out.exists()
-    folder = run(replace(config, ranked=False, arms=(Arm.WITH_DOS,)))
+    folder = run_here(replace(config, ranked=False, arms=(Arm.WITH_DOS,)))
     assert read_json(folder.summary)["run"]["ranked"] is False
     assert "unranked" in folder.summary_text.read_text()
 
@@ -317,7 +309,7 @@ def test_a_config_without_sense_is_refused(change: dict[str, Any]) -> None:
 
 def test_an_episode_is_driven_scored_and_recorded(scenes: Path, tmp_path: Path) -> None:
     ref = find_scenarios(scenes)[0]
-    result = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes))
+    result = Session(_config(tmp_path, scenes)).drive(ref, Arm.WITH_DOS)
     row = result.row
     assert (row.outcome, row.scenario) == (Outcome.SUCCESS, ref.id)
     # The goal begins at x = 18 m, the ego's centre starts at 10 m with 10 m/s: 8 steps.
@@ -330,9 +322,9 @@ def test_an_episode_is_driven_scored_and_recorded(scenes: Path, tmp_path: Path) 
 
 
 def test_a_failed_plugin_is_made_anew(scenes: Path, tmp_path: Path) -> None:
-    config = _config(tmp_path, scenes, "LeakyPlanner")
+    session = Session(_config(tmp_path, scenes, "LeakyPlanner"))
     first, broken, last = (
-        drive_episode(ref, Arm.WITH_DOS, config).row for ref in find_scenarios(scenes)[:3]
+        session.drive(ref, Arm.WITH_DOS).row for ref in find_scenarios(scenes)[:3]
     )
     assert first.outcome is last.outcome is Outcome.SUCCESS
     assert "broken for good" in str(broken.error)
@@ -345,12 +337,11 @@ def test_a_failed_plugin_is_made_anew(scenes: Path, tmp_path: Path) -> None:
         ("FaultyPlanner", "SystemExit: enough"),
     ],
 )
-@pytest.mark.usefixtures("in_process")
 def test_what_a_plugin_raises_is_in_the_row_and_its_traceback_in_a_file(
     scenes: Path, tmp_path: Path, planner: str, message: str
 ) -> None:
     config = _config(tmp_path / "run", scenes, planner, arms=(Arm.WITH_DOS,))
-    folder = run(replace(config, source=str(scenes / "ZAM_Test-5_1_T-1.xml")))
+    folder = run_here(replace(config, source=str(scenes / "ZAM_Test-5_1_T-1.xml")))
     (row,) = read_rows(folder.rows)
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert message in str(row.error)
@@ -363,8 +354,8 @@ def test_a_row_that_cannot_be_written_becomes_one_that_can(
     scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bad = replace(failed_score("s", Arm.WITH_DOS, ""), velocity=float("nan"))
-    monkeypatch.setattr(episode, "score", lambda *_: bad)
-    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes)).row
+    monkeypatch.setattr(job, "score", lambda *_: bad)
+    row = Session(_config(tmp_path, scenes)).drive(find_scenarios(scenes)[0], Arm.WITH_DOS).row
     assert "ValueError: Out of range float values" in str(row.error)
 
 
@@ -374,8 +365,8 @@ def test_an_episode_that_does_not_fit_its_file_is_a_row(
     def save(*_: object) -> None:
         raise TypeError("a report of words")
 
-    monkeypatch.setattr(episode, "pack_recording", save)
-    row = drive_episode(find_scenarios(scenes)[0], Arm.WITH_DOS, _config(tmp_path, scenes)).row
+    monkeypatch.setattr(job, "pack_recording", save)
+    row = Session(_config(tmp_path, scenes)).drive(find_scenarios(scenes)[0], Arm.WITH_DOS).row
     assert (row.outcome, row.error) == (
         Outcome.PLANNER_FAILURE,
         "TypeError: a report of words",
@@ -388,9 +379,8 @@ def test_rows_do_not_depend_on_what_was_drawn_before_a_plugin_was_made(
     ref, config = find_scenarios(scenes)[0], _config(tmp_path, scenes, "RandomlyMadePlanner")
     velocities = set()
     for draws in (0, 5):
-        episode._plugins.cache_clear()
         np.random.uniform(size=draws)  # noqa: NPY002
-        velocities.add(drive_episode(ref, Arm.WITH_DOS, config).row.velocity)
+        velocities.add(Session(config).drive(ref, Arm.WITH_DOS).row.velocity)
     assert len(velocities) == 1
 
 
@@ -398,7 +388,7 @@ def test_a_broken_scenario_file_is_a_row(scenes: Path, tmp_path: Path) -> None:
     file = tmp_path / "ZAM_Broken-1_1_T-1.xml"
     file.write_text("<commonRoad")
     (ref,) = find_scenarios(file)
-    row = drive_episode(ref, Arm.WITH_DOS, _config(tmp_path, scenes)).row
+    row = Session(_config(tmp_path, scenes)).drive(ref, Arm.WITH_DOS).row
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert "ScenarioError" in str(row.error)
 

@@ -34,7 +34,7 @@ from dosplan.system.yaml_text import MAX_DEPTH, YamlError, parse_yaml
 from dosplan.types import Arm, Plan, ShapeError
 from tests.support import scenes
 from tests.support.fault_runs import configured, write_scenes
-from tests.support.runs import InProcess
+from tests.support.runs import run_here
 from tests.support.scenes import Goal, Problem, User, scenario_xml
 
 GOOD = scenario_xml(scenes.straight_road(), [User(7, scenes.driving(50.0, 0.0, 5.0, 5))])
@@ -247,12 +247,8 @@ def test_a_text_that_utf8_cannot_hold_is_still_written_and_named(tmp_path: Path)
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The file of an episode."""
-    from dosplan.running import run as runner
-
     place = tmp_path_factory.mktemp("run")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "LocalExecutor", InProcess)
-        folder = runner.run(configured(place / "run", write_scenes(place / "scenes", 1)))
+    folder = run_here(configured(place / "run", write_scenes(place / "scenes", 1)))
     return folder.recording("ZAM_Fault-00_1_T-1", Arm.WITH_DOS).read_bytes()
 
 

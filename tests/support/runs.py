@@ -1,32 +1,24 @@
-"""Runs of a second that several tests read: their scenarios, and an executor that is quick."""
+"""Runs of a second that several tests read: their scenarios, and a way to run them quickly."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-
-import pytest
+from typing import Final
 
 from dosplan.results.folder import RunFolder
-from dosplan.running import run as runner
 from dosplan.running.config import RunConfig
-from dosplan.running.executor import Results, Task
-from dosplan.running.job import drive_episode
+from dosplan.running.executor import SerialExecutor
+from dosplan.running.progress import Observer
+from dosplan.running.run import run
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
+QUIET: Final = Observer()
 FAULTY = Path(__file__).with_name("faulty.py")
 
 
-class InProcess:
-    """An executor that drives in the test's own process, which is quicker."""
-
-    def __init__(self, config: RunConfig) -> None:
-        self.config = config
-
-    def drive(self, tasks: Iterable[Task]) -> Results:
-        """Drives one after another."""
-        for ref, arm in tasks:
-            yield (ref, arm), drive_episode(ref, arm, self.config)
+def run_here(config: RunConfig, observer: Observer = QUIET) -> RunFolder:
+    """Runs in the test's own process, which is quicker."""
+    return run(config, observer, SerialExecutor())
 
 
 def write_reached_and_missed(folder: Path) -> Path:
@@ -61,6 +53,4 @@ def run_leaky(out: Path, scenes: Path) -> RunFolder:
         planner=f"{FAULTY}:LeakyPlanner",
         predictor=f"{FAULTY}:StillPredictor",
     )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "LocalExecutor", InProcess)
-        return runner.run(config)
+    return run_here(config)

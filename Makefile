@@ -7,6 +7,8 @@ WORKERS ?= $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
 RUN_ARGS ?=
 BENCH_ARGS ?=
 PEERS_ARGS ?=
+# Tests side by side; who is done takes tests over from the others.
+SIDE_BY_SIDE = --numprocesses $(WORKERS) --dist worksteal
 
 .PHONY: run test test-all suite-check bench peers bench-peers lint clean
 
@@ -14,11 +16,11 @@ run: $(VENV)/.run
 	$(BIN)/dosplan run --workers $(WORKERS) $(RUN_ARGS)
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -m "not slow" --cov --cov-report=term:skip-covered --cov-fail-under=90
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow" --cov --cov-report=term:skip-covered --cov-fail-under=90
 
 test-all: $(VENV)/.dev
 	$(PIP) --editable ".[suite]"
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE)
 
 suite-check: $(VENV)/.dev
 	$(PIP) --editable ".[suite]"

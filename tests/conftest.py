@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 
@@ -9,10 +10,12 @@ import pytest
 
 
 def pytest_configure() -> None:
-    """Lets Ctrl-C reach what the tests start, also where they themselves were started without.
+    """Gives every process one thread for its arithmetic, and lets Ctrl-C reach it.
 
-    A shell has its background jobs ignore SIGINT, and what ignores it passes that on.
+    The tests run side by side, a process for each core, and their arrays are small. A shell has
+    its background jobs ignore SIGINT, and what ignores it passes that on.
     """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -149,18 +149,9 @@ def test_usage_errors_and_failures_have_their_exit_codes(scenes: Path, tmp_path:
     # 0: all scored; 1: some failed; 2: bad input; 130 is in test_signals.
     codes = {"CoastPlanner": 0, "NoSuchPlanner": 2}
     for planner, code in codes.items():
-        out = tmp_path / planner
-        done = subprocess.run(
-            command(out, scenes, planner, "--workers", "1", "--limit", "1"),
-            capture_output=True,
-            check=False,
-        )
-        assert done.returncode == code, done.stderr
+        arguments = command(tmp_path / planner, scenes, planner, "--workers", "1", "--limit", "1")
+        assert main(arguments[3:]) == code
     faulty = write_scenes(tmp_path / "scenes", 2)  # The second one raises.
-    done = subprocess.run(
-        command(tmp_path / "failed", faulty, "FaultPlanner", "--with-dos"),
-        capture_output=True,
-        check=False,
-    )
-    assert done.returncode == 1
-    assert rows_in(tmp_path / "failed") == 2
+    out = tmp_path / "failed"
+    assert main(command(out, faulty, "FaultPlanner", "--workers", "1", "--with-dos")[3:]) == 1
+    assert rows_in(out) == 2

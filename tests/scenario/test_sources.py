@@ -287,7 +287,7 @@ def test_a_member_too_large_for_a_scenario_is_a_row(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limit = (folder / "a.xml").stat().st_size - 1
-    for module in ("archives", "document"):
+    for module in ("sources.archives", "commonroad.document"):
         monkeypatch.setattr(f"dosplan.scenario.{module}.MAX_BYTES", limit)
     refs = find_scenarios(pack(folder, "x.tar.gz"))
     assert refs[0].id == "a"

@@ -118,13 +118,13 @@ def test_a_sweep_finds_what_fine_steps_find_and_nothing_else(
     period = 2.0 * np.pi if arrow else np.pi
     turn_user = (turn_user + period / 2) % period - period / 2
     shrunk = np.array(EGO_SIZE) - 2.0 * (SWEPT_TOUCH + RESOLUTION)
-    seen = False
-    for f in np.linspace(0.0, 1.0, 101):
-        a = ego_states[0] + f * (ego_states[1] - ego_states[0])
-        b = user_states[0] + f * (user_states[1] - user_states[0])
-        a[2], b[2] = ego_states[0, 2] + f * turn_ego, user_states[0, 2] + f * turn_user
-        box = shapely.Polygon(rectangle_corners(a[:3], shrunk))
-        seen |= box.intersects(shape_at(tracks, 0, b))
+    f = np.linspace(0.0, 1.0, 101)[:, None]
+    between = ego_states[0] + f * (ego_states[1] - ego_states[0])
+    theirs = user_states[0] + f * (user_states[1] - user_states[0])
+    between[:, 2] = ego_states[0, 2] + f[:, 0] * turn_ego
+    theirs[:, 2] = user_states[0, 2] + f[:, 0] * turn_user
+    boxes = shapely.polygons(rectangle_corners(between[:, :3], shrunk))
+    seen = shapely.intersects(boxes, [shape_at(tracks, 0, pose) for pose in theirs]).any()
     assert not seen or hits
 
 
@@ -154,14 +154,13 @@ def test_the_window_of_overlap_is_when_shapely_says_so(
     begin, end = overlap_window(
         np.array(a), np.array(EGO_SIZE), np.array(b), np.array(size), np.array(velocity)
     )
-    for time_ in np.linspace(0.0, 5.0, 21):
-        moved = (b[0] + velocity[0] * time_, b[1] + velocity[1] * time_, b[2])
-        apart = polygon(a, EGO_SIZE).distance(polygon(moved, size))
-        depth = polygon(a, EGO_SIZE).intersection(polygon(moved, size)).area
-        if apart > 1e-6:
-            assert not begin <= time_ <= end
-        if depth > 1e-6:
-            assert begin <= time_ <= end
+    times = np.linspace(0.0, 5.0, 21)
+    moved = np.tile(np.array(b), (len(times), 1))
+    moved[:, :2] += times[:, None] * np.array(velocity)
+    ego, users = polygon(a, EGO_SIZE), shapely.polygons(rectangle_corners(moved, np.array(size)))
+    inside = (begin <= times) & (times <= end)
+    assert not np.any(inside[shapely.distance(ego, users) > 1e-6])
+    assert np.all(inside[shapely.area(shapely.intersection(ego, users)) > 1e-6])
 
 
 @pytest.mark.parametrize(("gap", "never"), [(1e-9, True), (-1e-9, False)])

@@ -373,10 +373,11 @@ def test_suite_lists_its_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
     package = tmp_path / "dosplan"
     package.mkdir()
+    module = package / "scenario" / "sources" / "catalogue.py"
     (tmp_path / "scenarios").mkdir()
     manifest = "id,file,sha256\nZAM_X-1_1_T-1,files/x.xml.gz,0\nZAM_Y-1_1_T-1@4,files/y.xml.gz,0\n"
     (tmp_path / "scenarios" / "manifest.csv").write_text(manifest)
-    monkeypatch.setattr(catalogue, "__file__", str(package / "scenario" / "sources" / "catalogue.py"))
+    monkeypatch.setattr(catalogue, "__file__", str(module))
     folder = tmp_path / "scenarios" / "files"
     assert find_scenarios("suite") == [
         ScenarioRef(folder / "x.xml.gz", "ZAM_X-1_1_T-1"),

@@ -47,7 +47,8 @@ from dosplan.plugins.registry import RegistryError, create_planner, create_predi
 from dosplan.report.tables import table
 from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.scoring.score import score
-from dosplan.simulation.loop import observe, run_episode
+from dosplan.simulation.loop import run_episode
+from dosplan.simulation.world import World
 from dosplan.system.files import write_json
 from dosplan.system.provenance import describe_environment
 from dosplan.types import (
@@ -246,12 +247,11 @@ def measure_engines(network: Path, sets: Path) -> dict[str, dict[str, Figures]]:
     for n in PREDICTED:
         scenario = steady_flow(n)
         pieces = cut_map(scenario.road_map)
-        start, step = scenario.task.start[None], scenario.task.start_step
         times: dict[Engine, list[tuple[float, ...]]] = {engine: [] for engine in Engine}
         for _ in range(PREDICTIONS):
             for engine, predictor in engines.items():
                 # An encoder remembers its last observation, hence one of its own for each.
-                seen = [observe(scenario, step, start, HISTORY) for _ in range(2)]
+                seen = [World(scenario, history=HISTORY).observation() for _ in range(2)]
                 features = cpu_time(partial(describe, seen[0], pieces))
                 encoded = cpu_time(partial(predictor.encoder.encode, seen[0]))
                 total = cpu_time(partial(predictor.predict, seen[1]))

@@ -195,5 +195,5 @@ def _objection(path: Path, xml: bytes, moment: Moment) -> str | None:
     vehicle = scenario.task.vehicle
     states = np.array([vehicle.state_at(row[:2], row[2], row[3]) for row in moment.drive()])
     start = moment.start - moment.first
-    driven = score(scenario, known_drive(scenario.id, Arm.WITHOUT_DOS, start, states))
+    driven = score(scenario, known_drive(scenario, Arm.WITHOUT_DOS, start, states))
     return None if driven.outcome is Outcome.SUCCESS else driven.outcome.value

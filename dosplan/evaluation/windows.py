@@ -13,9 +13,8 @@ from typing import Final
 import numpy as np
 
 from dosplan.evaluation.groups import KINDS
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import watch
 from dosplan.types import (
-    HISTORY_STEPS,
     STEP_SECONDS,
     USER_SIZE,
     BoolArray,
@@ -61,7 +60,8 @@ def moments(scenario: Scenario, every: int) -> Iterator[Moment]:
     """
     tracks = scenario.tracks
     predicted = np.array([kind in KINDS for kind in tracks.kinds], dtype=np.bool_)
-    for step in range(0, tracks.steps - 1, every):
+    for observation in watch(scenario, every):
+        step = observation.step
         present = np.flatnonzero(tracks.valid[:, step])
         last = min(step + 1 + STEPS, tracks.steps)
         recorded = np.zeros((len(present), STEPS), dtype=np.bool_)
@@ -74,7 +74,7 @@ def moments(scenario: Scenario, every: int) -> Iterator[Moment]:
         recorded = recorded[rows]
         truth[~recorded] = np.nan
         yield Moment(
-            observation=observe(scenario, step, scenario.task.start[None], HISTORY_STEPS),
+            observation=observation,
             rows=rows,
             truth=truth,
             recorded=recorded,

@@ -171,7 +171,7 @@ def collision_facts(drive: Drive, contact: Contact) -> CollisionFacts:
         FileError: The row does not tell the collision's class.
     """
     row, dt = drive.row, drive.scenario.dt
-    tracks, step = drive.scenario.tracks, contact.step
+    tracks, step = drive.tracks, contact.step
     ego, user = contact.ego_state, contact.user_state
     present = tracks.valid[contact.user, drive.start : step + 1][::-1]
     seen = sum(1 for _ in takewhile(bool, present)) - 1
@@ -208,7 +208,7 @@ def collision_facts(drive: Drive, contact: Contact) -> CollisionFacts:
 
 def _set_checks(drive: Drive, user: int, step: int) -> tuple[SetCheck, ...]:
     """Every kept set of a road user for a step, by lead time."""
-    recording, tracks = drive.recording, drive.scenario.tracks
+    recording, tracks = drive.recording, drive.tracks
     made = recording.cycle_steps[recording.set_cycle]
     of_user = recording.set_ids == tracks.ids[user]
     for_step = made[:, None] + recording.set_offsets == step

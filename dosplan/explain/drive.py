@@ -10,7 +10,7 @@ import numpy as np
 from dosplan.results.recording import Recording
 from dosplan.scoring.collision import Contact, first_contacts
 from dosplan.system.files import FileError
-from dosplan.types import EGO_VELOCITY, FloatArray, Outcome, Scenario, Score
+from dosplan.types import EGO_VELOCITY, FloatArray, Outcome, Scenario, Score, Tracks
 from dosplan.vehicle import VehicleParameters
 
 _SAME_START = 1e-6  # How far the start of the same file may be off by rounding.
@@ -21,7 +21,7 @@ class Drive:
     """One episode, as far as it was scored.
 
     Attributes:
-        scenario: What was driven, the recorded future included.
+        scenario: What was driven.
         row: Its row.
         recording: Its file.
 
@@ -51,6 +51,11 @@ class Drive:
     def vehicle(self) -> VehicleParameters:
         """The ego."""
         return self.scenario.task.vehicle
+
+    @cached_property
+    def tracks(self) -> Tracks:
+        """The road users as they were driven."""
+        return self.recording.tracks_in(self.scenario)
 
     @cached_property
     def states(self) -> FloatArray:
@@ -83,7 +88,7 @@ class Drive:
         Raises:
             FileError: The recorded drive does not meet that road user in this scenario.
         """
-        step, tracks = self.row.collision_step, self.scenario.tracks
+        step, tracks = self.row.collision_step, self.tracks
         if step is None:
             return None
         for contact in first_contacts(self.ego, self.vehicle.size, tracks, self.start):

@@ -84,7 +84,7 @@ def margins(drive: Drive, goal_step: int) -> Margins:
 
 
 def _clearance(drive: Drive, shapes: npt.NDArray[np.object_]) -> Clearance | None:
-    tracks = drive.scenario.tracks
+    tracks = drive.tracks
     window = slice(drive.start, drive.start + len(shapes))
     users, steps = np.nonzero(tracks.valid[:, window])
     if not len(users):

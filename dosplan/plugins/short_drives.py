@@ -1,7 +1,6 @@
 """Drives a plug-in through a few cycles of a scene and keeps what it did, to be checked.
 
-The ego moves by the vehicle model, as it does in ``dosplan.simulation.loop``; the scenes are
-built in code (``dosplan.scenario.synthetic``).
+The scenes are built in code (``dosplan.scenario.synthetic``).
 """
 
 from __future__ import annotations
@@ -15,8 +14,8 @@ import numpy as np
 
 from dosplan.api import OraclePredictor, Planner, Predictor
 from dosplan.scenario.synthetic import growing_sets
-from dosplan.simulation.loop import observe
-from dosplan.types import HISTORY_STEPS, FloatArray, Observation, Occupancy, Plan, Scenario
+from dosplan.simulation.world import World
+from dosplan.types import HISTORY_STEPS, Observation, Occupancy, Plan, Scenario
 
 CYCLES = 3
 
@@ -36,12 +35,9 @@ class Trace:
     touched: tuple[str, ...]
 
 
-def _observation(
-    scenario: Scenario, driven: FloatArray, visible: int = HISTORY_STEPS
-) -> Observation:
-    """What is seen after some driving; road users have been on the scene for ``visible`` steps."""
-    step = scenario.task.start_step + len(driven) - 1
-    seen = observe(scenario, step, driven, HISTORY_STEPS)
+def _observation(world: World, visible: int) -> Observation:
+    """What is seen now; road users have been on the scene for ``visible`` steps."""
+    seen = world.observation()
     valid = np.array(seen.valid)
     valid[:, : HISTORY_STEPS - visible] = False
     return replace(seen, valid=valid, states=np.where(valid[..., None], seen.states, np.nan))
@@ -65,29 +61,27 @@ def drive_planner(
     Returns:
         What it did.
     """
-    vehicle = scenario.task.vehicle
-    planner.reset(scenario.task, scenario.road_map, vehicle)
-    driven = [np.array(scenario.task.start)]
+    world = World(scenario)
+    planner.reset(scenario.task, scenario.road_map, scenario.task.vehicle)
     plans: list[Plan] = []
     seconds: list[float] = []
     touched: list[str] = []
     for _ in range(CYCLES):
-        observation = _observation(scenario, np.stack(driven), visible)
+        observation = _observation(world, visible)
         occupancy = sets(observation)
         before = copy.deepcopy((observation, occupancy))
         plans.append(planner.plan(observation, occupancy))
         seconds.append(planner.last_seconds)
         for old, new in zip(before, (observation, occupancy), strict=True):
             touched.extend(_differences(old, new))
-        applied = vehicle.clip_input(driven[-1], plans[-1].inputs[0], scenario.dt)
-        driven.append(vehicle.step(driven[-1], applied, scenario.dt))
+        world.step(plans[-1].inputs[0])
     return Trace(tuple(plans), tuple(seconds), tuple(touched))
 
 
 def drive_predictor(
     predictor: Predictor, scenario: Scenario, *, visible: int = HISTORY_STEPS
 ) -> Trace:
-    """Has a predictor foresee a scene that moves on; the ego stands.
+    """Has a predictor foresee a scene that moves on; the ego rolls on.
 
     Args:
         predictor: The predictor; ``reset`` is called here.
@@ -100,16 +94,17 @@ def drive_predictor(
     if isinstance(predictor, OraclePredictor):
         predictor.reveal(scenario.tracks)
     predictor.reset(scenario.task, scenario.road_map)
-    driven = np.repeat(scenario.task.start[None], CYCLES, axis=0)
+    world = World(scenario)
     sets: list[Occupancy] = []
     seconds: list[float] = []
     touched: list[str] = []
-    for cycle in range(CYCLES):
-        observation = _observation(scenario, driven[: cycle + 1], visible)
+    for _ in range(CYCLES):
+        observation = _observation(world, visible)
         before = copy.deepcopy(observation)
         sets.append(predictor.predict(observation))
         seconds.append(predictor.last_seconds)
         touched.extend(_differences(before, observation))
+        world.step(np.zeros(2))
     return Trace(tuple(sets), tuple(seconds), tuple(touched))
 
 

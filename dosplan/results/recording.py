@@ -1,15 +1,19 @@
 """The file of one episode: what was driven, planned and predicted, for players and re-scoring.
 
-A compressed ``.npz`` of plain arrays (nothing is pickled). What decides the score, the driven
-states and inputs, is kept exactly; plans and predictions, which are many, are kept relative to
-the ego's start in single precision, rounded to 1/64 m and 1/64 rad, for the road users near
-the ego and for every fifth predicted step.
+A compressed ``.npz`` of plain arrays (nothing is pickled). What a row follows from is kept exactly:
+the driven states and inputs, the road users as they were driven, cycle times and what the solver
+said, so that an episode can be scored again. Plans and predictions, which are many, are kept
+relative to the ego's start in single precision, rounded to 1/64 m and 1/64 rad, for the road users
+near the ego and for every fifth predicted step.
+
+Where the road users drove as recorded, their tracks are those of the scenario file and are not kept
+a second time.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +33,11 @@ from dosplan.types import (
     FloatArray,
     IntArray,
     Occupancy,
+    RoadUserKind,
     Scenario,
+    SolveReport,
+    SolveStatus,
+    Tracks,
 )
 
 KEPT_EVERY: Final = 5  # Predicted steps 5, 10, 15, ... are kept.
@@ -37,7 +45,7 @@ NEARBY_METRES: Final = 60.0  # Sets of road users farther from the ego than this
 _GRAIN: Final = 64.0  # A power of two: rounding zeroes the mantissa's tail, which compresses.
 
 _OF_A_CYCLE: Final = (
-    "cycle_steps", "predict_ms", "plan_ms", "status", "iterations", "slack", "road_slack",
+    "cycle_steps", "predict_seconds", "plan_seconds", "status", "iterations", "slack", "road_slack",
     "fallback",
 )  # fmt: skip
 
@@ -54,11 +62,13 @@ class Recording:
         start_step: Step of the first state.
         states: (K + 1, 5) driven ego states.
         inputs: (K, 2) inputs that were applied.
+        traffic: Name of the traffic.
+        tracks: The road users as they were driven; None where that is as recorded.
         end: Why the simulation stopped.
         error: What went wrong in a planner failure, or None.
         cycle_steps: (C,) step at which each cycle ran.
-        predict_ms: (C,) time of each prediction, ms.
-        plan_ms: (C,) time of each plan, ms.
+        predict_seconds: (C,) time of each prediction, s.
+        plan_seconds: (C,) time of each plan, s.
         status: C words of ``SolveStatus``.
         iterations: (C,) solver iterations.
         slack: (C,) largest slack of a set constraint.
@@ -75,6 +85,8 @@ class Recording:
         set_centres: (M, S, 2) predicted centres, m; NaN where not valid.
         set_semi_axes: (M, S, 2) semi-axes, m.
         set_angles: (M, S) direction of the first semi-axis, rad.
+        exact: Whether times and slacks are kept exactly; in files of older versions they are in
+            single precision.
     """
 
     scenario_id: str
@@ -82,11 +94,13 @@ class Recording:
     start_step: int
     states: FloatArray
     inputs: FloatArray
+    traffic: str
+    tracks: Tracks | None
     end: EpisodeEnd
     error: str | None
     cycle_steps: IntArray
-    predict_ms: FloatArray
-    plan_ms: FloatArray
+    predict_seconds: FloatArray
+    plan_seconds: FloatArray
     status: tuple[str, ...]
     iterations: IntArray
     slack: FloatArray
@@ -100,11 +114,39 @@ class Recording:
     set_centres: FloatArray
     set_semi_axes: FloatArray
     set_angles: FloatArray
+    exact: bool = True
 
     @property
     def cycle_ms(self) -> FloatArray:
         """(C,) time of each full cycle, predict and plan, ms."""
-        return self.predict_ms + self.plan_ms
+        return 1e3 * (self.predict_seconds + self.plan_seconds)
+
+    @property
+    def reports(self) -> tuple[SolveReport, ...]:
+        """What was said of each of the C plans; times inside the solver are not kept."""
+        words = {status.word: status for status in SolveStatus}
+        return tuple(
+            SolveReport(
+                status=words[self.status[i]],
+                iterations=int(self.iterations[i]),
+                slack=float(self.slack[i]),
+                active_ids=self.active_ids[i],
+                fallback=self.fallback[i] or None,
+                road_slack=float(np.nan_to_num(self.road_slack[i])),
+            )
+            for i in range(len(self.cycle_steps))
+        )
+
+    def tracks_in(self, scenario: Scenario) -> Tracks:
+        """The road users as they were driven.
+
+        Args:
+            scenario: What was driven.
+
+        Returns:
+            Their tracks, aligned with the scenario's steps.
+        """
+        return scenario.tracks if self.tracks is None else self.tracks
 
 
 def pack_recording(scenario: Scenario, episode: Episode) -> bytes:
@@ -125,15 +167,17 @@ def pack_recording(scenario: Scenario, episode: Episode) -> bytes:
         "start_step": np.array(episode.start_step),
         "states": episode.states,
         "inputs": episode.inputs,
+        "traffic": np.array(episode.traffic),
+        **({} if episode.tracks is scenario.tracks else _pack_tracks(episode.tracks)),
         "end": np.array(episode.end.value),
         "error": np.array(episode.error or ""),
         "cycle_steps": episode.cycle_steps,
-        "predict_ms": (1e3 * episode.predict_seconds).astype(np.float32),
-        "plan_ms": (1e3 * episode.plan_seconds).astype(np.float32),
+        "predict_seconds": episode.predict_seconds,
+        "plan_seconds": episode.plan_seconds,
         "status": np.array([report.status.word for report in reports], dtype=np.str_),
         "iterations": np.array([report.iterations for report in reports], dtype=np.int32),
-        "slack": np.array([report.slack for report in reports], dtype=np.float32),
-        "road_slack": np.array([report.road_slack for report in reports], dtype=np.float32),
+        "slack": np.array([report.slack for report in reports], dtype=np.float64),
+        "road_slack": np.array([report.road_slack for report in reports], dtype=np.float64),
         "active_ids": np.array([i for r in reports for i in r.active_ids], dtype=np.int64),
         "active_counts": np.array([len(r.active_ids) for r in reports], dtype=np.int32),
         "fallback": np.array([report.fallback or "" for report in reports], dtype=np.str_),
@@ -161,6 +205,7 @@ def load_recording(path: Path) -> Recording:
         arrays = {name: file[name] for name in file.files}
         origin = arrays["states"][0, :2]
         cycles = len(arrays["cycle_steps"])
+        exact = "predict_seconds" in arrays
         road_slack = arrays.get("road_slack", np.full(cycles, np.nan))
         active_ids = arrays.get("active_ids", np.empty(0, dtype=np.int64))
         active_counts = arrays.get("active_counts", np.zeros(cycles, dtype=np.int32))
@@ -170,11 +215,13 @@ def load_recording(path: Path) -> Recording:
             start_step=int(arrays["start_step"]),
             states=arrays["states"],
             inputs=arrays["inputs"],
+            traffic=str(arrays.get("traffic", "replay")),
+            tracks=_unpack_tracks(arrays) if "user_ids" in arrays else None,
             end=EpisodeEnd(str(arrays["end"])),
             error=str(arrays["error"]) or None,
             cycle_steps=arrays["cycle_steps"],
-            predict_ms=arrays["predict_ms"].astype(np.float64),
-            plan_ms=arrays["plan_ms"].astype(np.float64),
+            predict_seconds=_seconds(arrays, "predict"),
+            plan_seconds=_seconds(arrays, "plan"),
             status=tuple(arrays["status"].tolist()),
             iterations=arrays["iterations"].astype(np.int64),
             slack=arrays["slack"].astype(np.float64),
@@ -191,6 +238,7 @@ def load_recording(path: Path) -> Recording:
             set_centres=arrays["set_centres"].astype(np.float64) + origin,
             set_semi_axes=arrays["set_semi_axes"].astype(np.float64),
             set_angles=arrays["set_angles"].astype(np.float64),
+            exact=exact,
         )
         _check(recording)
         return recording
@@ -209,9 +257,9 @@ def load_cycle_ms(path: Path) -> FloatArray:
         FileError: The file is missing or is not such a file.
     """
     with _opened(path) as file:
-        times = np.asarray(file["predict_ms"].astype(np.float64) + file["plan_ms"])
+        times = 1e3 * (_seconds(file, "predict") + _seconds(file, "plan"))
         if times.ndim != 1 or not np.all(np.isfinite(times)):
-            raise ValueError("predict_ms and plan_ms are no times")
+            raise ValueError("predict_seconds and plan_seconds are no times")
         return times
 
 
@@ -227,6 +275,39 @@ def _opened(path: Path) -> Iterator[Any]:
         raise FileError(
             f"{path} is not an episode file of this version: {one_line(error)}"
         ) from None
+
+
+def _seconds(arrays: Mapping[str, Any], part: str) -> FloatArray:
+    """(C,) time of each prediction or plan, s; older versions kept them in ms."""
+    if f"{part}_seconds" in arrays:
+        return np.asarray(arrays[f"{part}_seconds"], dtype=np.float64)
+    return np.asarray(arrays[f"{part}_ms"].astype(np.float64) / 1e3)
+
+
+def _pack_tracks(tracks: Tracks) -> dict[str, npt.NDArray[Any]]:
+    outlines = [np.empty((0, 2)) if outline is None else outline for outline in tracks.outlines]
+    return {
+        "user_ids": tracks.ids,
+        "user_kinds": np.array([kind.value for kind in tracks.kinds], dtype=np.str_),
+        "user_size": tracks.size,
+        "user_states": tracks.states,
+        "user_valid": tracks.valid,
+        "user_outlines": np.concatenate([np.empty((0, 2)), *outlines]),
+        "user_corners": np.array([len(outline) for outline in outlines], dtype=np.int64),
+    }
+
+
+def _unpack_tracks(arrays: Mapping[str, Any]) -> Tracks:
+    corners = arrays["user_corners"]
+    outlines = np.split(arrays["user_outlines"], np.cumsum(corners))[: len(corners)]
+    return Tracks(
+        ids=arrays["user_ids"],
+        kinds=tuple(RoadUserKind(kind) for kind in arrays["user_kinds"].tolist()),
+        size=arrays["user_size"],
+        states=arrays["user_states"],
+        valid=arrays["user_valid"],
+        outlines=tuple(outline if len(outline) else None for outline in outlines),
+    )
 
 
 def _check(recording: Recording) -> None:
@@ -248,7 +329,7 @@ def _check(recording: Recording) -> None:
     for name, shape in shapes.items():
         if (found := np.shape(getattr(recording, name))) != shape:
             raise ValueError(f"{name} has shape {found}, expected {shape}")
-    for name in ("states", "inputs", "predict_ms", "plan_ms"):
+    for name in ("states", "inputs", "predict_seconds", "plan_seconds"):
         if not np.all(np.isfinite(getattr(recording, name))):
             raise ValueError(f"{name} holds what is no number")
     driven = recording.cycle_steps - recording.start_step

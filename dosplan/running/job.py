@@ -80,8 +80,8 @@ class Session:
             planner, predictor = plugins = plugins or _make_plugins(config)
             seed_globals(config.seed)
             scenario = load_scenario(ref, cached=config.cache)
-            simulation = SimulationConfig(replan_every=config.replan_every)
-            episode = run_episode(scenario, planner, predictor, arm, simulation, raised.append)
+            loop = SimulationConfig(replan_every=config.replan_every)
+            episode = run_episode(scenario, planner, predictor, arm, loop, on_failure=raised.append)
             row = score(scenario, episode)
             row_line(row)  # What is no number is told here, not when the runner appends the row.
             recording = pack_recording(scenario, episode)

@@ -64,7 +64,7 @@ def shape_at(tracks: Tracks, user: int, state: FloatArray) -> shapely.Polygon:
     """The exact shape of a road user at a pose.
 
     Args:
-        tracks: The recording.
+        tracks: The road users as they were driven.
         user: Row of the road user.
         state: (4,) road-user state.
 
@@ -130,12 +130,12 @@ def contacts(
     Between two steps both centres move along straight lines and both headings turn the shorter
     way; a rectangle's heading counts modulo a half turn, which leaves its shape the same. A road
     user that is not on the scene at the step before is looked at in the later pose alone, and so
-    is everyone at the first step. Nobody is on the scene after the end of the recording.
+    is everyone at the first step. Nobody is on the scene after the end of the tracks.
 
     Args:
         ego: (K + 1, 4) x, y, heading, velocity of the ego's centre at consecutive steps.
         size: (2,) length and width of the ego, m.
-        tracks: The recorded road users.
+        tracks: The road users as they were driven.
         start_step: Step of ``ego[0]``.
 
     Yields:
@@ -173,7 +173,7 @@ def first_contacts(
     Args:
         ego: (K + 1, 4) x, y, heading, velocity of the ego's centre at consecutive steps.
         size: (2,) length and width of the ego, m.
-        tracks: The recorded road users.
+        tracks: The road users as they were driven.
         start_step: Step of ``ego[0]``.
 
     Returns:

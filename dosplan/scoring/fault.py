@@ -38,7 +38,7 @@ def classify(contact: Contact, tracks: Tracks, vehicle: VehicleParameters) -> Co
 
     Args:
         contact: The moment at which ego and road user touch.
-        tracks: The recording.
+        tracks: The road users as they were driven.
         vehicle: The ego's parameters.
 
     Returns:

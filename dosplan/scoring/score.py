@@ -89,14 +89,14 @@ def score(scenario: Scenario, episode: Episode) -> Score:
         The episode's row.
     """
     task, vehicle = scenario.task, scenario.task.vehicle
-    states, start = episode.states, episode.start_step
+    states, start, tracks = episode.states, episode.start_step, episode.tracks
     goal_step = _goal_step(task, states, start)
     if goal_step is not None:
         states = states[: goal_step - start + 1]
     ego = np.column_stack([vehicle.poses(states), states[:, EGO_VELOCITY]])
 
-    touched = first_contacts(ego, vehicle.size, scenario.tracks, start)
-    classes = [classify(contact, scenario.tracks, vehicle) for contact in touched]
+    touched = first_contacts(ego, vehicle.size, tracks, start)
+    classes = [classify(contact, tracks, vehicle) for contact in touched]
     blamed = [
         at_fault(contact, kind, scenario.road_map, vehicle)
         for contact, kind in zip(touched, classes, strict=True)
@@ -107,7 +107,7 @@ def score(scenario: Scenario, episode: Episode) -> Score:
         # In the order of contact: the first one to blame, or the first of all where none is.
         reported = next((i for i, fault in enumerate(blamed) if fault), 0)
         collision_class = classes[reported]
-        collision_with = int(scenario.tracks.ids[touched[reported].user])
+        collision_with = int(tracks.ids[touched[reported].user])
         collision_step = touched[reported].step
         states, ego = states[: collision_step - start + 1], ego[: collision_step - start + 1]
     driven = len(states) - 1
@@ -149,7 +149,7 @@ def score(scenario: Scenario, episode: Episode) -> Score:
         max_abs_acceleration=felt.acceleration,
         max_abs_lateral_acceleration=felt.lateral_acceleration,
         max_abs_jerk=felt.jerk,
-        min_time_to_collision=min_time_to_collision(ego, vehicle, scenario.tracks, start),
+        min_time_to_collision=min_time_to_collision(ego, vehicle, tracks, start),
         cycle_ms_p50=median,
         cycle_ms_p99=slowest,
         fallback_cycles=sum(episode.plans[i].report.fallback is not None for i in cycles),
@@ -207,7 +207,7 @@ def min_time_to_collision(
     Args:
         ego: (K + 1, 4) x, y, heading, velocity of the ego's centre at consecutive steps.
         vehicle: The ego's parameters.
-        tracks: The recorded road users.
+        tracks: The road users as they were driven.
         start_step: Step of ``ego[0]``.
 
     Returns:

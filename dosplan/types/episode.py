@@ -9,6 +9,7 @@ import numpy as np
 
 from dosplan.types.arrays import EGO_SIZE, FloatArray, IntArray, ShapeError, frozen
 from dosplan.types.planning import Occupancy, Plan
+from dosplan.types.scenario import Tracks
 
 
 class Arm(StrEnum):
@@ -36,6 +37,7 @@ class Episode:
         start_step: Step of the first state.
         states: (K + 1, 5) driven ego states.
         inputs: (K, 2) inputs that were applied.
+        tracks: The road users as they were driven, aligned with the steps of the scenario.
         end: Why the simulation stopped.
         predict_seconds: (C,) wall-clock time of each prediction, s; C planning cycles.
         plan_seconds: (C,) wall-clock time of each plan, s.
@@ -43,6 +45,7 @@ class Episode:
         occupancies: The C occupancies that were handed to the planner.
         cycle_steps: (C,) step at which each cycle ran.
         error: What went wrong, where ``end`` is ``PLANNER_FAILURE``.
+        traffic: Name of the traffic.
     """
 
     scenario_id: str
@@ -50,6 +53,7 @@ class Episode:
     start_step: int
     states: FloatArray
     inputs: FloatArray
+    tracks: Tracks
     end: EpisodeEnd
     predict_seconds: FloatArray
     plan_seconds: FloatArray
@@ -57,6 +61,7 @@ class Episode:
     occupancies: tuple[Occupancy, ...]
     cycle_steps: IntArray
     error: str | None = None
+    traffic: str = "replay"
 
     def __post_init__(self) -> None:
         frozen(self, "inputs", np.float64, (None, 2), finite=True)

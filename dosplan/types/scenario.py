@@ -98,7 +98,9 @@ class RoadMap:
 
 @dataclass(frozen=True)
 class Tracks:
-    """The recorded road users, past and future: only simulation and scoring may hold it.
+    """Road users over many steps, as they were recorded, or as they were driven in an episode.
+
+    Only the simulation and who looks back on an episode may hold it, as it tells the future.
 
     Attributes:
         ids: (N,) ids of the road users, unique.
@@ -136,7 +138,7 @@ class Tracks:
 
     @property
     def steps(self) -> int:
-        """Number K of recorded steps."""
+        """Number K of steps."""
         return int(self.states.shape[1])
 
 

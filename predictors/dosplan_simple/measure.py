@@ -16,8 +16,8 @@ import numpy as np
 
 from dosplan.api import OraclePredictor, Predictor
 from dosplan.plugins.registry import find_predictor
-from dosplan.simulation.loop import observe
-from dosplan.types import HISTORY_STEPS, Observation, Scenario
+from dosplan.simulation.world import watch
+from dosplan.types import Observation, Scenario
 from dosplan_simple.predictors import (
     GroundTruthPredictor,
 )
@@ -47,8 +47,7 @@ def measure(
         dt = scenario.dt
         truth.reveal(scenario.tracks)
         predictor.reset(scenario.task, scenario.road_map)
-        for step in range(0, scenario.tracks.steps, every):
-            observation = observe(scenario, step, scenario.task.start[None], HISTORY_STEPS)
+        for observation in watch(scenario, every):
             errors = _errors(observation, predictor, truth)
             total += np.nansum(errors, axis=0)
             count += np.sum(np.isfinite(errors), axis=0)

@@ -36,7 +36,7 @@ def recorded_episode(scenario: Scenario, drive: FloatArray) -> Episode:
         An episode with zeros for the inputs, which nobody knows.
     """
     states = np.array([VEHICLE.state_at(row[:2], row[2], row[3]) for row in drive])
-    return known_drive(scenario.id, Arm.WITHOUT_DOS, scenario.task.start_step, states)
+    return known_drive(scenario, Arm.WITHOUT_DOS, scenario.task.start_step, states)
 
 
 def _driven(scenario: Scenario, planner: Planner, predictor: Predictor) -> Score:

@@ -56,7 +56,9 @@ def read_cases(path: Path) -> Iterator[Case]:
         for where, value in case.get("change", {}).items():
             _set(scene, where.split("."), value)
         name = f"{path.stem}: {case['name']}"
-        yield Case(name, _scenario(scene, name), _episode(scene, name), case["expected"])
+        scenario = _scenario(scene, name)
+        episode = _episode(scene, name, scenario.tracks)
+        yield Case(name, scenario, episode, case["expected"])
 
 
 def _set(tree: Any, keys: list[str], value: Any) -> None:
@@ -144,7 +146,7 @@ def _ego(ego: dict[str, Any]) -> FloatArray:
     return np.array([VEHICLE.state_at(x[:2], x[2], x[3]) for x in _drive(ego)])
 
 
-def _episode(scene: dict[str, Any], name: str) -> Episode:
+def _episode(scene: dict[str, Any], name: str, tracks: Tracks) -> Episode:
     states = _ego(scene["ego"])
     return Episode(
         scenario_id=name,
@@ -152,6 +154,7 @@ def _episode(scene: dict[str, Any], name: str) -> Episode:
         start_step=scene["ego"]["first_step"],
         states=states,
         inputs=np.zeros((len(states) - 1, 2)),
+        tracks=tracks,
         end=EpisodeEnd(scene["ego"]["end"]),
         predict_seconds=np.zeros(0),
         plan_seconds=np.zeros(0),

@@ -38,14 +38,16 @@ def read_solution(path: Path) -> tuple[int, FloatArray, FloatArray]:
     return int(rows[0, 5]), rows[:, :4], rows[:, 4]
 
 
-def as_episode(name: str, start: int, centres: FloatArray, steering: FloatArray) -> Episode:
+def as_episode(
+    scenario: Scenario, start: int, centres: FloatArray, steering: FloatArray
+) -> Episode:
     states = np.array(
         [
             VEHICLE.state_at(centre[:2], centre[2], centre[3], angle)
             for centre, angle in zip(centres, steering, strict=True)
         ]
     )
-    return known_drive(name, Arm.WITH_DOS, start, states)
+    return known_drive(scenario, Arm.WITH_DOS, start, states)
 
 
 def depth_of_overlap(a: shapely.Polygon, b: shapely.Polygon) -> float:
@@ -84,7 +86,7 @@ def test_published_solutions_score_success() -> None:
         except ScenarioError:
             continue
         start, centres, steering = read_solution(path)
-        row = score(scenario, as_episode(scenario.id, start, centres, steering))
+        row = score(scenario, as_episode(scenario, start, centres, steering))
         scored += 1
         if row.outcome is Outcome.COLLISION and row.collision_step is not None:
             cutting[path.stem] = row.collision_step

@@ -23,7 +23,7 @@ from shapely.geometry import box
 
 from dosplan.cli.command import CommandError
 from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, Occupancy, RoadMap, RoadUserKind
 from tests.support.factories import steady_tracks
 from tests.support.models import save_network, save_sets, seen_at
@@ -88,7 +88,7 @@ def test_both_engines_predict_the_same_sets(ref: ScenarioRef, folder: Path) -> N
         predictor.reset(scenario.task, scenario.road_map)
     moved = 0.0
     for step in range(scenario.task.start_step, scenario.task.final_step, 12):
-        seen = observe(scenario, step, scenario.task.start[None], 31)
+        seen = World(scenario, first_step=step, history=31).observation()
         expected = reference.predict(seen)
         assert_same(ours.predict(seen), expected)
         moved = max(moved, float(expected.semi_axes.max(initial=0.0)))

@@ -55,8 +55,10 @@ def _recording(arm: Arm, centres: FloatArray, semi_axes: FloatArray, angle: floa
         end=EpisodeEnd.TIME_OVER,
         error=None,
         cycle_steps=np.array([40]),
-        predict_ms=np.ones(1),
-        plan_ms=np.ones(1),
+        predict_seconds=np.full(1, 1e-3),
+        plan_seconds=np.full(1, 1e-3),
+        traffic="replay",
+        tracks=None,
         status=("solved",),
         iterations=np.ones(1, dtype=np.int64),
         slack=np.zeros(1),
@@ -220,7 +222,7 @@ def test_changes_have_their_words() -> None:
 def test_an_episode_without_its_scenario_is_the_drive_alone() -> None:
     recording = _recording(Arm.WITH_DOS, np.zeros((2, 2)), np.ones((2, 2)), 0.0)
     row = _row("s", Arm.WITH_DOS, Outcome.GOAL_MISSED)
-    payload = encode_episode(None, [None, Drive(recording, row, VehicleParameters())])
+    payload = encode_episode(None, [None, Drive(recording, row, VehicleParameters(), None)])
     assert "road" not in payload
     assert payload["sides"][0] is None
     assert len(payload["sides"][1]["x"]) == row.steps + 1

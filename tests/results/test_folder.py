@@ -83,6 +83,7 @@ def _episode(cycles: int = 4, users: int = 3, horizon: int = 12, every: int = 2)
         start_step=3,
         states=states[: steps + 1],
         inputs=np.zeros((steps, 2)),
+        tracks=SCENARIO.tracks,
         end=EpisodeEnd.PLANNER_FAILURE,
         predict_seconds=0.001 * np.arange(cycles, dtype=np.float64),
         plan_seconds=0.01 * np.ones(cycles),

@@ -261,7 +261,7 @@ def test_damage_within_a_recording_is_one_line(recording: bytes, tmp_path: Path)
     path = tmp_path / "a.npz"
     path.write_bytes(recording)
     with zipfile.ZipFile(path) as file:
-        header = file.getinfo("predict_ms.npy").header_offset
+        header = file.getinfo("predict_seconds.npy").header_offset
     data = bytearray(recording)
     # A local header has 30 bytes; the last four of them are the lengths of what follows it.
     start = header + 30 + sum(struct.unpack_from("<HH", data, header + 26))
@@ -285,7 +285,7 @@ def test_an_array_in_place_of_a_recording_is_one_line(tmp_path: Path) -> None:
         ("states", np.zeros((0, 5))),
         ("states", np.array(3.0)),
         ("inputs", np.zeros((3, 2))),
-        ("predict_ms", np.array([np.nan])),
+        ("predict_seconds", np.array([np.nan])),
         ("cycle_steps", np.array([0, 0])),
         ("active_counts", np.array([0.5])),
         ("set_cycle", np.array([10**9])),

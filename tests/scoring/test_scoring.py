@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 import dosplan.scoring.score
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
-from dosplan.scoring.score import failed_score, min_time_to_collision, score
+from dosplan.scoring import score as scoring
+from dosplan.scoring.score import failed_score, min_time_to_collision
 from dosplan.types import (
     Arm,
     CollisionClass,
@@ -21,6 +22,8 @@ from dosplan.types import (
     Occupancy,
     Outcome,
     Plan,
+    Scenario,
+    Score,
     SolveReport,
 )
 from dosplan.vehicle import VehicleParameters
@@ -46,6 +49,7 @@ def episode(
         start_step=0,
         states=drive(inputs, velocity),
         inputs=inputs,
+        tracks=steady_tracks(),
         end=end,
         predict_seconds=np.zeros(0),
         plan_seconds=np.zeros(0),
@@ -53,6 +57,11 @@ def episode(
         occupancies=(),
         cycle_steps=np.zeros(0, dtype=np.int64),
     )
+
+
+def score(scenario: Scenario, driven: Episode) -> Score:
+    """Scores a drive among the scenario's road users."""
+    return scoring.score(scenario, replace(driven, tracks=scenario.tracks))
 
 
 def holding(steps: int, acceleration: float = 0.0) -> FloatArray:

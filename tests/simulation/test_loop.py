@@ -23,7 +23,8 @@ from shapely.geometry import box
 
 from dosplan.api import Planner, Predictor
 from dosplan.scenario.synthetic import busy_scenario
-from dosplan.simulation.loop import SimulationConfig, observe, run_episode
+from dosplan.simulation.loop import SimulationConfig, run_episode
+from dosplan.simulation.world import World
 from dosplan.types import (
     EGO_VELOCITY,
     EGO_X,
@@ -363,7 +364,7 @@ def test_the_ground_truth_is_the_one_that_sees_the_future() -> None:
 def test_no_array_of_an_observation_owns_the_future(step: int) -> None:
     scenario = busy_scenario()
     tracks = scenario.tracks
-    observation = observe(scenario, step, scenario.task.start[None], 31)
+    observation = World(scenario, first_step=step, history=31).observation()
     for field in ("ego", "ego_history", "ids", "size", "states", "valid"):
         array = getattr(observation, field)
         while array is not None:

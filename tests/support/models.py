@@ -17,7 +17,7 @@ from dosplan_net.network import NetworkConfig, TrajectoryNetwork
 from dosplan_net.weights import save_weights
 from shapely import affinity
 
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, RoadMap, Scenario, Tracks
 from tests.support.factories import straight_scenario
 
@@ -59,13 +59,13 @@ def save_sets(path: Path, variant: Variant = Variant.FREE, seed: int = 0) -> Pat
 def seen(scenario: Scenario, history: int = 31) -> Observation:
     """What is known at the start of a scenario."""
     task = scenario.task
-    return observe(scenario, task.start_step, task.start[None], history)
+    return World(scenario, first_step=task.start_step, history=history).observation()
 
 
 def seen_at(tracks: Tracks, step: int, history: int = 31) -> Observation:
     """What is known of some tracks on the straight road."""
     scenario = straight_scenario(tracks)
-    return observe(scenario, step, scenario.task.start[None], history)
+    return World(scenario, first_step=step, history=history).observation()
 
 
 def turned(points: FloatArray, angle: float) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dosplan.scenario.synthetic import busy_scenario, growing_sets
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import World
 from dosplan.types import (
     Episode,
     GoalState,
@@ -98,7 +98,7 @@ def test_occupancy_refuses_negative_semi_axes() -> None:
 
 
 def test_without_sets_keeps_everything_but_the_semi_axes() -> None:
-    sets = growing_sets(observe(busy_scenario(), 40, busy_scenario().task.start[None], 5))
+    sets = growing_sets(World(busy_scenario(), first_step=40, history=5).observation())
     bare = sets.without_sets()
     assert isinstance(bare, Occupancy)
     assert not bare.semi_axes.any()
@@ -123,7 +123,7 @@ def test_tracks_refuse_two_of_the_same_id_and_holes_that_are_marked_valid() -> N
 
 
 def test_observation_refuses_a_road_user_that_is_not_on_the_scene() -> None:
-    seen = observe(busy_scenario(), 40, busy_scenario().task.start[None], 5)
+    seen = World(busy_scenario(), first_step=40, history=5).observation()
     valid = np.array(seen.valid)
     valid[0, -1] = False
     with pytest.raises(ShapeError, match="not on the scene now"):
@@ -158,6 +158,7 @@ def test_episode_counts_its_occupancies() -> None:
             start_step=0,
             states=np.zeros((1, 5)),
             inputs=np.zeros((0, 2)),
+            tracks=steady_tracks(),
             end="time_over",  # type: ignore[arg-type]
             predict_seconds=np.zeros(0),
             plan_seconds=np.zeros(0),

@@ -19,8 +19,8 @@ from dosplan.report.figures.sources import Published
 from dosplan.report.film.layers import SET_COLOURS, Sets, Users, on_scene
 from dosplan.report.film.scene import KIND_COLOURS, draw_map
 from dosplan.scenario import find_scenarios, load_scenario
-from dosplan.simulation.loop import observe
-from dosplan.types import HISTORY_STEPS, STEP_SECONDS, Occupancy, RoadUserKind, Scenario
+from dosplan.simulation.world import World
+from dosplan.types import STEP_SECONDS, Occupancy, RoadUserKind, Scenario
 
 SCENE: Final = "ZAM_Roundabout-1_2_T-1"  # Bends, where a set's angle matters.
 AT: Final = 5.0  # s of its recording
@@ -90,8 +90,7 @@ def foresee(scenario: Scenario, options: dict[str, Any]) -> Occupancy:
     """
     predictor = create_predictor("dos", 0, options)
     predictor.reset(scenario.task, scenario.road_map)
-    ego = scenario.task.start[None]
-    return predictor.predict(observe(scenario, _step(scenario), ego, HISTORY_STEPS))
+    return predictor.predict(World(scenario, first_step=_step(scenario)).observation())
 
 
 def _step(scenario: Scenario) -> int:

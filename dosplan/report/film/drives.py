@@ -21,7 +21,7 @@ from dosplan.results.recording import load_recording, pack_recording
 from dosplan.scenario import ScenarioRef, load_scenario
 from dosplan.scoring.collision import shape_at
 from dosplan.system.files import FileError, write_bytes
-from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Scenario, Score
+from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Scenario, Score, Tracks
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,11 @@ class Take:
     drive: Drive | None = None
 
     @property
+    def tracks(self) -> Tracks:
+        """The road users: as they were driven, or as recorded where nobody drove."""
+        return self.scenario.tracks if self.drive is None else self.drive.tracks
+
+    @property
     def start(self) -> int:
         """Step of the first picture."""
         return self.scenario.task.start_step
@@ -52,7 +57,7 @@ class Take:
         """Step of the last picture: the end of the drive, or of the task where nobody drives."""
         if self.drive is not None:
             return self.start + self.drive.row.steps
-        task, recorded = self.scenario.task, self.scenario.tracks.steps - 1
+        task, recorded = self.scenario.task, self.tracks.steps - 1
         if self.row is not None:
             return self.start
         return max(self.start, min(task.final_step, recorded))
@@ -79,7 +84,7 @@ class Take:
         if self.drive is None:
             return words
         if (contact := self.drive.contact) is not None:
-            tracks = self.scenario.tracks
+            tracks = self.tracks
             words = f"{words} with {tracks.kinds[contact.user]} {tracks.ids[contact.user]}"
         return f"{words}, {self.seconds(self.moment):.1f} s"
 
@@ -91,7 +96,7 @@ class Take:
         if contact is None:
             return np.asarray(pose[:2])
         # Where they are in the picture of that step: a little past the touch, perhaps.
-        tracks = self.scenario.tracks
+        tracks = self.tracks
         other = shape_at(tracks, contact.user, tracks.states[contact.user, contact.step])
         ego = shapely.Polygon(rectangle_corners(pose, self.scenario.task.vehicle.size))
         return np.asarray(shapely.centroid(shapely.shortest_line(ego, other)).coords[0])

@@ -115,7 +115,7 @@ class Panel:
 
     def kinds_in_view(self) -> set[RoadUserKind]:
         """Kinds of the road users that come into view."""
-        tracks, reach = self.take.scenario.tracks, self._framing.reach
+        tracks, reach = self.take.tracks, self._framing.reach
         found = set()
         for step in range(self.take.start, self.take.end + 1):
             here = on_scene(tracks, step)
@@ -146,7 +146,7 @@ class Panel:
             return
         recording = drive.recording
         self._plan.set_data(*recording.plan_centres[cycle].T)
-        tracks = self.take.scenario.tracks
+        tracks = self.take.tracks
         here = on_scene(tracks, step)
         near = np.linalg.norm(
             tracks.states[here, min(step, tracks.steps - 1), :2] - pose[:2], axis=-1
@@ -167,7 +167,7 @@ class Panel:
     def _make_layers(self) -> None:
         axes, take = self.axes, self.take
         self._sets = Sets(axes, zorder=4)
-        self._users = Users(axes, take.scenario.tracks, USER_COLOURS, zorder=6)
+        self._users = Users(axes, take.tracks, USER_COLOURS, zorder=6)
         (self._driven,) = axes.plot([], [], color=take.colour, linewidth=2.2, zorder=5)
         (self._plan,) = axes.plot(
             [],

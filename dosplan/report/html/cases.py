@@ -128,10 +128,17 @@ def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
     # The vehicle of every scenario that dosplan reads, should the file be gone.
     vehicle = VehicleParameters() if scene is None else scene.task.vehicle
     drives = [
-        None if recording is None else Drive(recording, row, vehicle)
+        None
+        if recording is None
+        else Drive(
+            recording,
+            row,
+            vehicle,
+            recording.tracks if scene is None else recording.tracks_in(scene),
+        )
         for recording, row in zip(recordings, rows, strict=True)
     ]
-    met = tuple(None if drive is None or scene is None else _met(drive, scene) for drive in drives)
+    met = tuple(None if drive is None else _met(drive) for drive in drives)
     return Case(
         scenario=scenario,
         family=family,
@@ -148,8 +155,10 @@ def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
     )
 
 
-def _met(drive: Drive, scene: Scenario) -> SetsMet:
-    return sets_met(drive.recording, scene.tracks, drive.row.steps)
+def _met(drive: Drive) -> SetsMet | None:
+    if drive.tracks is None:
+        return None
+    return sets_met(drive.recording, drive.tracks, drive.row.steps)
 
 
 def _why(row: Score, met: SetsMet | None, scene: Scenario | None, drive: Drive | None) -> str:
@@ -165,8 +174,8 @@ def _why(row: Score, met: SetsMet | None, scene: Scenario | None, drive: Drive |
     if row.outcome is not Outcome.COLLISION or row.collision_with is None:
         return ""
     user = f"road user {row.collision_with}"
-    if scene is not None:
-        kinds = dict(zip(scene.tracks.ids.tolist(), scene.tracks.kinds, strict=True))
+    if drive is not None and drive.tracks is not None:
+        kinds = dict(zip(drive.tracks.ids.tolist(), drive.tracks.kinds, strict=True))
         user = f"{kinds[row.collision_with].value} {row.collision_with}"
     how = "touched {}" if row.collision_class is None else _CLASS_WORDS[row.collision_class]
     fault = "at fault" if row.at_fault else "not at fault"

@@ -1,7 +1,7 @@
-"""Coverage of the sets as met in the episodes, from recordings and the recorded future.
+"""Coverage of the sets as met in the episodes, from their files and the road users as driven.
 
-A set that was handed to the planner at step s for a road user t steps ahead counts where the
-recording still shows that road user at s + t; it is a hit where the true centre lies inside it.
+A set that was handed to the planner at step s for a road user t steps ahead counts where it is
+known where that road user was at s + t: it is a hit where the true centre lies inside it.
 Recordings keep the sets near the ego only, so these are the ones that mattered to it. Sets without
 an extent (the arm without DOS) are no sets and do not count.
 """
@@ -80,7 +80,7 @@ def sets_met(recording: Recording, tracks: Tracks, driven: int) -> SetsMet:
 
     Args:
         recording: The episode.
-        tracks: The recorded road users of its scenario.
+        tracks: The road users as they were driven.
         driven: Number of steps of the scored drive.
 
     Returns:

@@ -58,11 +58,13 @@ class Drive:
         recording: The episode.
         row: Its row.
         vehicle: The ego.
+        tracks: The road users as they were driven; None where that is not known.
     """
 
     recording: Recording
     row: Score
     vehicle: VehicleParameters
+    tracks: Tracks | None
 
     @property
     def start(self) -> int:
@@ -91,7 +93,7 @@ def encode_episode(scene: Scenario | None, drives: Sequence[Drive | None]) -> di
     """Writes what the player draws.
 
     Args:
-        scene: The scenario, or None where it is not there: then there is no map, nor road users.
+        scene: The scenario, or None where it is not there: then there is no map.
         drives: The drive of each side; None where it has none. One is there at least.
 
     Returns:
@@ -104,27 +106,62 @@ def encode_episode(scene: Scenario | None, drives: Sequence[Drive | None]) -> di
         "first": min(drive.start for drive in driven),
         "ego": list(driven[0].vehicle.size),
     }
-    near: IntArray = np.empty(0, dtype=np.int64)
     if scene is not None:
-        near = _nearest(scene.tracks, driven)
         payload |= _encode_map(scene, driven, origin)
-        payload["users"] = _encode_users(scene.tracks, near, driven, origin)
-    wanted = None if scene is None else _predicted(scene.tracks, near, driven)
-    blocks, used = prediction_blocks(
-        [None if drive is None else drive.recording for drive in drives],
-        [0 if drive is None else drive.row.steps for drive in drives],
-        wanted,
-        origin,
-    )
-    payload["predictions"] = blocks
+    others = _encode_others(drives, origin)
+    if others.users is not None:
+        payload["users"] = others.users
+    payload["predictions"] = others.predictions
     payload["sides"] = [
         None
         if drive is None
         else _encode_drive(drive, origin)
         | {"predictions": block, "touched": drive.row.collision_with}
-        for drive, block in zip(drives, used, strict=True)
+        for drive, block in zip(drives, others.used, strict=True)
     ]
     return payload
+
+
+@dataclass(frozen=True)
+class _Others:
+    """What a page draws of the road users: lists of the payload, and each side's block."""
+
+    users: list[dict[str, Any]] | None
+    predictions: list[dict[str, Any]]
+    used: list[dict[str, Any] | None]
+
+
+def _encode_others(drives: Sequence[Drive | None], origin: FloatArray) -> _Others:
+    """Writes road users and predictions; sides that met the same road users share them."""
+    groups: dict[int, list[tuple[int, Drive]]] = {}
+    for side, drive in enumerate(drives):
+        if drive is not None:
+            groups.setdefault(id(drive.tracks), []).append((side, drive))
+    users: list[dict[str, Any]] = []
+    blocks: list[dict[str, Any]] = []
+    used: list[dict[str, Any] | None] = [None] * len(drives)
+    for group in groups.values():
+        sides, members = [side for side, _ in group], [drive for _, drive in group]
+        tracks, wanted = members[0].tracks, None
+        if tracks is not None:
+            near = _nearest(tracks, members)
+            wanted = {
+                name: index + len(users)
+                for name, index in _predicted(tracks, near, members).items()
+            }
+            theirs = {"sides": sides} if len(groups) > 1 else {}
+            users += [one | theirs for one in _encode_users(tracks, near, members, origin)]
+        found, shown = prediction_blocks(
+            [drive.recording for drive in members],
+            [drive.row.steps for drive in members],
+            wanted,
+            origin,
+        )
+        for side, block in zip(sides, shown, strict=True):
+            used[side] = None if block is None else block | {"block": block["block"] + len(blocks)}
+        blocks += found
+    known = any(drive is not None and drive.tracks is not None for drive in drives)
+    return _Others(users if known else None, blocks, used)
 
 
 def _encode_drive(drive: Drive, origin: FloatArray) -> dict[str, Any]:

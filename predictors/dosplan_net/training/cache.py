@@ -23,7 +23,7 @@ import numpy.typing as npt
 from dosplan.evaluation.groups import SIMULATED
 from dosplan.geometry import to_body, wrap_angle
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_recording
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import watch
 from dosplan.system.errors import DosplanError
 from dosplan.system.files import write_json
 from dosplan.types import Scenario
@@ -247,8 +247,8 @@ def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | No
     }
     counts = [0]
     origin = scenario.task.start[:2]
-    for step in range(0, tracks.steps - MIN_FUTURE, every):
-        observation = observe(scenario, step, scenario.task.start[None], HISTORY)
+    for observation in watch(scenario, every, HISTORY):
+        step = observation.step
         rows = np.flatnonzero(tracks.valid[:, step])
         future, future_valid = _future(scenario, rows, step)
         if not np.any(future_valid[:, MIN_FUTURE - 1]):

@@ -26,7 +26,8 @@ from shapely.geometry import Polygon, box
 from dosplan.api import Planner
 from dosplan.geometry import ReferencePath
 from dosplan.scenario.synthetic import growing_sets
-from dosplan.simulation.loop import SimulationConfig, observe, run_episode
+from dosplan.simulation.loop import SimulationConfig, run_episode
+from dosplan.simulation.world import World
 from dosplan.types import (
     EGO_HEADING,
     EGO_VELOCITY,
@@ -161,7 +162,7 @@ def test_idm_is_bounded_and_brakes_no_less_for_less_room(
 
 def leaders_of(scenario: Scenario, occupancy: Occupancy | None = None) -> tuple[float, float]:
     """Gap and velocity of the nearest leader; NaN without one."""
-    seen = observe(scenario, 0, scenario.task.start[None], 5)
+    seen = World(scenario, first_step=0, history=5).observation()
     sets = ConstantVelocityPredictor().predict(seen) if occupancy is None else occupancy
     path = extended_path(scenario.task.route)
     found = find_leaders(path, seen, sets, VEHICLE)
@@ -195,7 +196,7 @@ def test_who_cuts_in_within_the_time_gap_is_a_leader() -> None:
 
 def test_sets_widen_what_blocks() -> None:
     scenario = straight_scenario(steady_tracks([[30.0, 2.5, 0.0, 8.0]]))
-    seen = observe(scenario, 0, scenario.task.start[None], 5)
+    seen = World(scenario, first_step=0, history=5).observation()
     grown = GrowingCirclePredictor(z=1.0).predict(seen)
     gap, velocity = leaders_of(scenario, grown)
     assert math.isnan(leaders_of(scenario, grown.without_sets())[0])
@@ -264,7 +265,7 @@ def test_idm_wishes_for_what_the_goal_asks(
     scenario = straight_scenario(goals=[goal])
     planner = IdmPlanner()
     planner.reset(scenario.task, scenario.road_map, VEHICLE)
-    seen = observe(scenario, 0, scenario.task.start[None], 5)
+    seen = World(scenario, first_step=0, history=5).observation()
     assert planner._wish(seen) == pytest.approx(expected, abs=1e-3)
 
 
@@ -272,7 +273,7 @@ def test_idm_wishes_for_what_the_goal_asks(
 def test_plans_are_what_the_vehicle_drives(planner: Planner) -> None:
     scenario = straight_scenario(steady_tracks([[25.0, 0.0, 0.0, 5.0]]))
     planner.reset(scenario.task, scenario.road_map, VEHICLE)
-    seen = observe(scenario, 0, scenario.task.start[None], 5)
+    seen = World(scenario, first_step=0, history=5).observation()
     plan = planner.plan(seen, growing_sets(seen))
     assert plan.inputs.shape == (30, 2)
     np.testing.assert_array_equal(plan.states[0], seen.ego)

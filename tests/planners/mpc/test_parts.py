@@ -34,7 +34,7 @@ from shapely.geometry import box
 
 from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, rectangle_corners
 from dosplan.scenario.synthetic import steady_tracks, straight_route, straight_scenario
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import World
 from dosplan.types import FloatArray, GoalState, Occupancy, PlanningTask, Route, SolveStatus
 from dosplan.vehicle import VehicleParameters
 
@@ -355,7 +355,7 @@ def test_a_bend_lends_room_of_the_lane_against() -> None:
 def seen(users: list[list[float]], velocity: float = 10.0) -> Traffic:
     """What the ego at x = 1.42 m sees of cars on a straight road."""
     scenario = straight_scenario(steady_tracks(users), velocity=velocity)
-    observation = observe(scenario, 0, scenario.task.start[None], 1)
+    observation = World(scenario, first_step=0, history=1).observation()
     path = reference_path(scenario.task.route)
     position = 20.0 + VEHICLE.rear_to_centre
     return look_around(observation, path, VEHICLE, position, 0.0, velocity)

@@ -21,7 +21,7 @@ from dosplan.scenario.synthetic import (
     straight_route,
     straight_scenario,
 )
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import World
 from dosplan.types import EGO_VELOCITY, FloatArray, Observation, Occupancy, Plan, Scenario
 from dosplan.vehicle import VehicleParameters
 from tests.support.peers import NEEDS, skip_where_missing
@@ -166,7 +166,7 @@ def test_what_was_foreseen_comes_back_until_the_next_episode() -> None:
     for _ in range(2):
         ramp.reset(scenario.task, scenario.road_map, VEHICLE)
         for step, x in ((0, 0.0), (2, 2.008), (3, 1.012), (9, 3.0)):  # Foreseen: 2, 1, 3.
-            seen = observe(scenario, step, scenario.task.start[None], 31)
+            seen = World(scenario, first_step=step, history=31).observation()
             seen = replace(seen, ego=seen.ego + np.array([x, 0.0, 0.0, 0.0, 0.0]))
             plan = ramp.plan(seen, growing_sets(seen))
         accelerations, states = zip(*ramp.told, strict=True)
@@ -215,7 +215,7 @@ def first_plan(name: str, scenario: Scenario, semi_axis: float = 0.0) -> Plan:
     """The first plan; the sets are circles of a radius, m."""
     planner: Planner = create_planner(name, 0)
     planner.reset(scenario.task, scenario.road_map, VEHICLE)
-    seen = observe(scenario, scenario.task.start_step, scenario.task.start[None], 31)
+    seen = World(scenario, first_step=scenario.task.start_step, history=31).observation()
     sets = growing_sets(seen)
     return planner.plan(seen, replace(sets, semi_axes=np.full(sets.semi_axes.shape, semi_axis)))
 

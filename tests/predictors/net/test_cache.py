@@ -18,7 +18,7 @@ from dosplan_net.training.cache import (
 )
 
 from dosplan.scenario import find_scenarios, load_scenario
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import World
 from dosplan.types import Scenario
 from tests.predictors.conftest import CACHED, EVERY
 from tests.support import scenes
@@ -51,7 +51,7 @@ def test_a_cache_holds_what_describe_says(
     assert len(own) == len(range(0, scenario.tracks.steps - MIN_FUTURE, EVERY))
     for index in (0, 3, len(own) - 1):
         step = index * EVERY
-        observation = observe(scenario, step, scenario.task.start[None], HISTORY)
+        observation = World(scenario, first_step=step, history=HISTORY).observation()
         expected = describe(observation, pieces)
         first = int(cache.scene_start[own[index]])
         rows = slice(first, int(cache.scene_start[own[index] + 1]))

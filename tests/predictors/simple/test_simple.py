@@ -28,7 +28,7 @@ from dosplan_simple.sets import (
 
 from dosplan.api import PluginError, Predictor
 from dosplan.scenario.synthetic import busy_scenario, crowded_scenario
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, RoadUserKind, Tracks
 from tests.support.factories import steady_tracks, straight_scenario
 
@@ -37,7 +37,7 @@ CV_TABLE = ErrorTable("constant-velocity-v1", 0.1, (0.5, 1.0, 2.0), (9, 9, 9), "
 
 def seen_at(tracks: Tracks, step: int) -> Observation:
     scenario = straight_scenario(tracks)
-    return observe(scenario, step, scenario.task.start[None], 31)
+    return World(scenario, first_step=step, history=31).observation()
 
 
 def circle_tracks(radius: float, velocity: float, *, first: float = 0.0) -> Tracks:

@@ -17,7 +17,7 @@ from dosplan.api import Predictor
 from dosplan.plugins.registry import RegistryError, create_predictor
 from dosplan.scenario import load_scenario
 from dosplan.scenario.synthetic import steady_tracks, straight_map, straight_scenario
-from dosplan.simulation.loop import observe
+from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Lanelet, Observation, RoadMap, RoadUserKind, Scenario
 from tests.support.peers import is_missing
 from tests.support.suite import SUITE
@@ -47,7 +47,7 @@ def scenario(name: str) -> Scenario:
 
 
 def seen_at(drive: Scenario, step: int) -> Observation:
-    return observe(drive, step, drive.task.start[None], 31)
+    return World(drive, first_step=step, history=31).observation()
 
 
 def wale_net(drive: Scenario, **options: object) -> Predictor:

@@ -28,8 +28,12 @@ function drawScene(context, size, view, episode, step, layers, palette) {
   const pixel = 1 / view.scale;
   drawRoad(context, episode, pixel, palette);
   if (layers.sets) drawSets(context, episode, step, layers, pixel, palette);
-  const touched = new Set(episode.sides.map((side, i) => side && layers.sides[i] && side.touched));
-  episode.users.forEach((user) => drawUser(context, user, step, touched.has(user.id), pixel, palette));
+  episode.users.forEach((user) => {
+    // A road user that reacts was driven once for each side.
+    const shown = episode.sides.filter((side, i) => side && layers.sides[i] && (!user.sides || user.sides.includes(i)));
+    if (user.sides && !shown.length) return;
+    drawUser(context, user, step, shown.some((side) => side.touched === user.id), pixel, palette);
+  });
   episode.sides.forEach((side, index) => {
     if (side && layers.sides[index]) drawSide(context, episode, side, index, step, layers, pixel, palette);
   });

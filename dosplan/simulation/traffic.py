@@ -1,0 +1,198 @@
+"""Who else is on the road while the ego drives: a replay, or road users that react.
+
+A traffic hands over the past when an episode begins, and at each step who is on the scene at that
+step. Nothing that lies ahead ever leaves it: what a planner or a predictor observes is made of what
+was handed over so far (``dosplan.simulation.world``).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from dosplan.types import (
+    USER_SIZE,
+    FloatArray,
+    IntArray,
+    RoadUserKind,
+    Scenario,
+    ShapeError,
+    Tracks,
+)
+from dosplan.types.arrays import frozen
+
+
+@dataclass(frozen=True)
+class RoadUsers:
+    """Who is on the scene at one step.
+
+    Attributes:
+        ids: (N,) ids, unique; a road user keeps its id, and an id that was not there before is a
+            road user that has come onto the scene.
+        kinds: N kinds; each road user keeps its own.
+        size: (N, 2) length and width, m; each road user keeps its own.
+        states: (N, 4) road-user states.
+        outlines: N polygons (V, 2) in the body frame, m, where the shape is not the rectangle of
+            ``size``; None otherwise. All are rectangles where none is given.
+    """
+
+    ids: IntArray
+    kinds: tuple[RoadUserKind, ...]
+    size: FloatArray
+    states: FloatArray
+    outlines: tuple[FloatArray | None, ...] = ()
+
+    def __post_init__(self) -> None:
+        frozen(self, "ids", np.int64, (None,))
+        n = len(self.ids)
+        frozen(self, "size", np.float64, (n, 2), finite=True)
+        frozen(self, "states", np.float64, (n, USER_SIZE), finite=True)
+        if len(set(self.ids.tolist())) != n:
+            raise ShapeError("RoadUsers.ids names a road user twice")
+        if not self.outlines:
+            object.__setattr__(self, "outlines", (None,) * n)
+        for name in ("kinds", "outlines"):
+            if len(getattr(self, name)) != n:
+                raise ShapeError(
+                    f"RoadUsers.{name} has {len(getattr(self, name))} entries, expected {n}"
+                )
+
+
+class Traffic(ABC):
+    """The other road users of an episode.
+
+    A class of one's own is given to a run as ``--traffic file.py:Class``, or as an entry point of
+    the group ``dosplan.traffic``.
+
+    Attributes:
+        name: Name that goes into results; a changed behaviour is a new name.
+        settings: Dataclass of the options that a user may set, or None.
+        as_recorded: Whether everybody drives as recorded, whatever the ego does. The tracks of an
+            episode are then those of the scenario, and only then may a predictor be shown them.
+    """
+
+    name: ClassVar[str]
+    settings: ClassVar[type[Any] | None] = None
+    as_recorded: ClassVar[bool] = False
+
+    def __init__(self, *, seed: int = 0) -> None:
+        """Keeps the seed; every random choice of a traffic must come from it and the scenario.
+
+        Args:
+            seed: Seed of the run.
+        """
+        self.seed = seed
+
+    @abstractmethod
+    def begin(self, scenario: Scenario, first_step: int) -> Tracks:
+        """Begins an episode, and forgets the last one.
+
+        Args:
+            scenario: What is driven.
+            first_step: Step at which the ego starts.
+
+        Returns:
+            Everyone who has been on the scene until then, at the steps 0 to ``first_step``.
+        """
+
+    @abstractmethod
+    def step(self, step: int, ego: FloatArray) -> RoadUsers:
+        """Moves everyone on by one step.
+
+        Args:
+            step: The step that is reached: ``first_step + 1``, then one more in each call.
+            ego: (K + 1, 5) ego states from its start to this step. Its last row is where the ego
+                is when everyone has moved; who decides at the same time as the ego does, and does
+                not foresee its move, knows the rows before.
+
+        Returns:
+            Who is on the scene at that step.
+        """
+
+
+class Replay(Traffic):
+    """Everyone drives as recorded; nobody is on the scene once the recording has ended."""
+
+    name = "replay"
+    as_recorded = True
+
+    def __init__(self, *, seed: int = 0) -> None:
+        """Makes it; nothing here is random.
+
+        Args:
+            seed: Seed of the run.
+        """
+        super().__init__(seed=seed)
+        self._recording = nobody(0)
+
+    def begin(self, scenario: Scenario, first_step: int) -> Tracks:
+        """Begins an episode.
+
+        Args:
+            scenario: What is driven.
+            first_step: Step at which the ego starts.
+
+        Returns:
+            What is recorded until then.
+        """
+        tracks = self._recording = scenario.tracks
+        begun = slice(0, first_step + 1)
+        seen = np.flatnonzero(tracks.valid[:, begun].any(axis=1))
+        after = max(first_step + 1 - tracks.steps, 0)  # Steps for which nothing is recorded.
+        states = np.pad(
+            tracks.states[seen, begun], ((0, 0), (0, after), (0, 0)), constant_values=np.nan
+        )
+        valid = np.pad(tracks.valid[seen, begun], ((0, 0), (0, after)))
+        return Tracks(
+            ids=tracks.ids[seen],
+            kinds=tuple(tracks.kinds[i] for i in seen),
+            size=tracks.size[seen],
+            states=states,
+            valid=valid,
+            outlines=tuple(tracks.outlines[i] for i in seen),
+        )
+
+    def step(self, step: int, ego: FloatArray) -> RoadUsers:
+        """Reads the next step of the recording.
+
+        Args:
+            step: The step that is reached.
+            ego: Not looked at.
+
+        Returns:
+            Who is recorded at that step, in the recording's order.
+        """
+        tracks = self._recording
+        if step >= tracks.steps:
+            return RoadUsers(
+                np.empty(0, dtype=np.int64), (), np.empty((0, 2)), np.empty((0, USER_SIZE))
+            )
+        present = np.flatnonzero(tracks.valid[:, step])
+        return RoadUsers(
+            ids=tracks.ids[present],
+            kinds=tuple(tracks.kinds[i] for i in present),
+            size=tracks.size[present],
+            states=tracks.states[present, step],
+            outlines=tuple(tracks.outlines[i] for i in present),
+        )
+
+
+def nobody(steps: int) -> Tracks:
+    """The tracks of an empty scene.
+
+    Args:
+        steps: Number of steps.
+
+    Returns:
+        Tracks of no road user.
+    """
+    return Tracks(
+        ids=np.empty(0, dtype=np.int64),
+        kinds=(),
+        size=np.empty((0, 2)),
+        states=np.empty((0, steps, USER_SIZE)),
+        valid=np.empty((0, steps), dtype=np.bool_),
+    )

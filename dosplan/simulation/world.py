@@ -1,0 +1,255 @@
+"""One scenario as it comes about step by step: the ego, and who else is on the road.
+
+The world is what is true. It hands out an ``Observation`` of the past and the present, and keeps
+what was driven: the ego's states and inputs, and the tracks of the road users.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from dosplan.api import PluginError
+from dosplan.simulation.traffic import Replay, RoadUsers, Traffic
+from dosplan.types import (
+    EGO_SIZE,
+    HISTORY_STEPS,
+    USER_SIZE,
+    FloatArray,
+    IntArray,
+    Observation,
+    RoadUserKind,
+    Scenario,
+    Tracks,
+)
+
+
+class World:
+    """The ego of a scenario among its road users, at a step.
+
+    Attributes:
+        scenario: The scenario.
+        traffic: Who the road users are.
+        start_step: Step of the first of ``driven``.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        traffic: Traffic | None = None,
+        *,
+        first_step: int | None = None,
+        history: int = HISTORY_STEPS,
+    ) -> None:
+        """Puts the ego at its start.
+
+        Args:
+            scenario: The scenario.
+            traffic: Who the road users are; a replay of the recording by default.
+            first_step: Step at which the ego is at its start; that of the task by default.
+            history: Steps H that an observation shows, the present one included.
+        """
+        self.scenario = scenario
+        self.traffic = Replay() if traffic is None else traffic
+        self.start_step = scenario.task.start_step if first_step is None else first_step
+        self._history = history
+        self._states: list[FloatArray] = [np.array(scenario.task.start)]
+        self._inputs: list[FloatArray] = []
+        past = self.traffic.begin(scenario, self.start_step)
+        if not isinstance(past, Tracks) or past.steps != self.start_step + 1:
+            raise PluginError(f"begin must return Tracks of the steps 0 to {self.start_step}")
+        self._others = _Others(past, max(scenario.task.final_step, self.start_step) + 1)
+
+    @property
+    def now(self) -> int:
+        """The present step."""
+        return self.start_step + len(self._states) - 1
+
+    @property
+    def ego(self) -> FloatArray:
+        """(5,) the present ego state."""
+        return self._states[-1]
+
+    @property
+    def driven(self) -> FloatArray:
+        """(K + 1, 5) ego states from ``start_step`` to now."""
+        return np.stack(self._states)
+
+    @property
+    def inputs(self) -> FloatArray:
+        """(K, 2) inputs that were applied."""
+        return np.reshape(self._inputs, (-1, 2))
+
+    @property
+    def tracks(self) -> Tracks:
+        """The road users as they were driven, at the steps 0 to now.
+
+        Where everybody drives as recorded, the recording, which may go on beyond now.
+        """
+        return self.scenario.tracks if self.traffic.as_recorded else self._others.tracks(self.now)
+
+    def observation(self) -> Observation:
+        """What may be known now.
+
+        Every array is a copy of the past and the present, so that nothing else can be reached
+        from it, not even through ``ndarray.base``.
+
+        Returns:
+            The observation. Ego states before the start and road users before step 0 are NaN.
+        """
+        recent = self._states[-self._history :]
+        ego_history = np.full((self._history, EGO_SIZE), np.nan)
+        ego_history[self._history - len(recent) :] = recent
+        ids, kinds, size, states, valid = self._others.seen(self.now, self._history)
+        return Observation(
+            step=self.now,
+            dt=self.scenario.dt,
+            ego=self.ego,
+            ego_history=ego_history,
+            ids=ids,
+            kinds=kinds,
+            size=size,
+            states=states,
+            valid=valid,
+            road_map=self.scenario.road_map,
+            task=self.scenario.task,
+        )
+
+    def step(self, wanted: FloatArray) -> None:
+        """Drives one step; the ego's input is cut to what its actuators can deliver.
+
+        Args:
+            wanted: (2,) steering rate, rad/s, and acceleration, m/s2.
+
+        Raises:
+            PluginError: The traffic broke its contract.
+        """
+        vehicle, dt = self.scenario.task.vehicle, self.scenario.dt
+        applied = vehicle.clip_input(self.ego, wanted, dt)
+        states = [*self._states, vehicle.step(self.ego, applied, dt)]
+        self._others.add(self.now + 1, self.traffic.step(self.now + 1, np.stack(states)))
+        self._states = states
+        self._inputs.append(applied)
+
+    def wait(self) -> None:
+        """Lets one step pass in which the ego stays where it is, as if it had just come there.
+
+        For those who look at the road users alone.
+
+        Raises:
+            PluginError: The traffic broke its contract.
+        """
+        self._others.add(self.now + 1, self.traffic.step(self.now + 1, self.ego[None]))
+        self.start_step = self.now + 1
+        self._states, self._inputs = self._states[-1:], []
+
+
+def watch(scenario: Scenario, every: int, history: int = HISTORY_STEPS) -> Iterator[Observation]:
+    """Walks through a recording, from step 0 to its end.
+
+    The ego is at its start all the while: it is not what is looked at.
+
+    Args:
+        scenario: The recording.
+        every: Steps from one observation to the next.
+        history: Steps that an observation shows, the present one included.
+
+    Yields:
+        The observations.
+    """
+    world = World(scenario, first_step=0, history=history)
+    for step in range(scenario.tracks.steps):
+        if step:
+            world.wait()
+        if step % every == 0:
+            yield world.observation()
+
+
+class _Others:
+    """The road users that were handed over so far, in the order in which they came."""
+
+    def __init__(self, past: Tracks, steps: int) -> None:
+        """Takes the past over.
+
+        Args:
+            past: The road users until now.
+            steps: For how many steps room is made at first.
+        """
+        self._rows = {name: row for row, name in enumerate(past.ids.tolist())}
+        self._kinds = list(past.kinds)
+        self._outlines = list(past.outlines)
+        self._size = np.array(past.size)
+        self._states = np.empty((0, 0, USER_SIZE))
+        self._valid = np.empty((0, 0), dtype=np.bool_)
+        self._make_room(len(past.ids), max(steps, past.steps))
+        self._states[:, : past.steps] = past.states
+        self._valid[:, : past.steps] = past.valid
+        self._present = np.flatnonzero(past.valid[:, -1])
+
+    def add(self, step: int, users: RoadUsers) -> None:
+        """Takes over who is on the scene at a step."""
+        if not isinstance(users, RoadUsers):
+            raise PluginError(f"step returned {type(users).__name__}, not RoadUsers")
+        ids = users.ids.tolist()
+        new = [i for i, name in enumerate(ids) if name not in self._rows]
+        for i in new:
+            self._rows[ids[i]] = len(self._rows)
+            self._kinds.append(users.kinds[i])
+            self._outlines.append(users.outlines[i])
+        if new:
+            self._size = np.concatenate([self._size, users.size[new]])
+        self._make_room(len(self._rows), step + 1)
+        rows = np.array([self._rows[name] for name in ids], dtype=np.int64)
+        same = np.all(self._size[rows] == users.size, axis=1)
+        for i, (row, kind) in enumerate(zip(rows, users.kinds, strict=True)):
+            same[i] &= self._kinds[row] is kind
+        if not same.all():
+            raise PluginError(
+                f"road user {ids[int(np.argmin(same))]} has another kind or size than before"
+            )
+        self._states[rows, step] = users.states
+        self._valid[rows, step] = True
+        self._present = rows
+
+    def seen(
+        self, step: int, history: int
+    ) -> tuple[IntArray, tuple[RoadUserKind, ...], FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+        """Who is on the scene now, with the last steps of each: the fields of an observation."""
+        rows = self._present
+        first = max(step - history + 1, 0)
+        begin = history - (step + 1 - first)
+        states = np.full((len(rows), history, USER_SIZE), np.nan)
+        valid = np.zeros((len(rows), history), dtype=np.bool_)
+        states[:, begin:] = self._states[rows, first : step + 1]
+        valid[:, begin:] = self._valid[rows, first : step + 1]
+        return self._ids[rows], tuple(self._kinds[i] for i in rows), self._size[rows], states, valid
+
+    def tracks(self, last: int) -> Tracks:
+        """Everyone at the steps 0 to ``last``."""
+        return Tracks(
+            ids=self._ids,
+            kinds=tuple(self._kinds),
+            size=self._size,
+            states=self._states[: len(self._rows), : last + 1],
+            valid=self._valid[: len(self._rows), : last + 1],
+            outlines=tuple(self._outlines),
+        )
+
+    @property
+    def _ids(self) -> IntArray:
+        return np.fromiter(self._rows, dtype=np.int64, count=len(self._rows))
+
+    def _make_room(self, users: int, steps: int) -> None:
+        """Has the arrays hold so many road users and steps; where they grow, by half more."""
+        rows, columns = self._valid.shape
+        if users <= rows and steps <= columns:
+            return
+        shape = (
+            rows if users <= rows else max(users, rows + rows // 2),
+            columns if steps <= columns else max(steps, columns + columns // 2),
+        )
+        states, valid = np.full((*shape, USER_SIZE), np.nan), np.zeros(shape, dtype=np.bool_)
+        states[:rows, :columns], valid[:rows, :columns] = self._states, self._valid
+        self._states, self._valid = states, valid

@@ -1,0 +1,58 @@
+"""Traffic that reacts to the ego, for tests; also loaded by the runner as ``traffic.py:Class``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dosplan.simulation.traffic import Replay, RoadUsers, Traffic
+from dosplan.types import USER_VELOCITY, FloatArray, RoadUserKind, Scenario, Tracks
+
+NEAR = 12.0  # m
+
+
+class ShyTraffic(Traffic):
+    """Everyone drives along the recording by a clock of their own, and stands near the ego.
+
+    From the third step on there is a cyclist, far away, whom the recording does not know.
+    """
+
+    name = "shy-v1"
+
+    def begin(self, scenario: Scenario, first_step: int) -> Tracks:
+        self.recorded, self.first_step = scenario.tracks, first_step
+        self.clock = np.full(len(scenario.tracks.ids), first_step)
+        self.vehicle = scenario.task.vehicle
+        return Replay().begin(scenario, first_step)
+
+    def step(self, step: int, ego: FloatArray) -> RoadUsers:
+        tracks, centre = self.recorded, self.vehicle.centre(ego[-2])
+        rows = np.arange(len(tracks.ids))
+        before = tracks.states[rows, self.clock]
+        waits = np.linalg.norm(before[:, :2] - centre, axis=1) < NEAR
+        self.clock = np.minimum(self.clock + ~waits, tracks.steps - 1)
+        states = np.array(tracks.states[rows, self.clock])
+        states[waits, USER_VELOCITY] = 0.0
+        users = RoadUsers(tracks.ids, tracks.kinds, tracks.size, states, tracks.outlines)
+        if step < self.first_step + 3:
+            return users
+        return replace(
+            users,
+            ids=np.append(users.ids, 900),
+            kinds=(*users.kinds, RoadUserKind.BICYCLE),
+            size=np.concatenate([users.size, [[1.8, 0.6]]]),
+            states=np.concatenate([states, [[30.0 + step, 30.0, 0.0, 10.0]]]),
+            outlines=(*users.outlines, None),
+        )
+
+
+class LostTraffic(ShyTraffic):
+    """Does not know the way at the second step."""
+
+    name = "lost-v1"
+
+    def step(self, step: int, ego: FloatArray) -> RoadUsers:
+        if len(ego) == 3:
+            raise KeyError("way")
+        return super().step(step, ego)

@@ -155,6 +155,7 @@ def score(scenario: Scenario, episode: Episode) -> Score:
         fallback_cycles=sum(episode.plans[i].report.fallback is not None for i in cycles),
         error=episode.error if outcome is Outcome.PLANNER_FAILURE else None,
         **asdict(telemetry([episode.plans[i].report for i in cycles])),
+        traffic=episode.traffic,
     )
 
 

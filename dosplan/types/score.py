@@ -65,6 +65,10 @@ class Score:
         slack_cycles: Cycles whose plan enters a set (``dosplan.scoring.solver.SLACK_SEEN``).
         max_road_slack: How far a plan leaves the road at most, m.
         solver_failures: Cycles in which the solver gave no plan.
+
+    And, ``replay`` in rows of versions without it:
+
+        traffic: Name of the traffic.
     """
 
     scenario: str
@@ -95,3 +99,4 @@ class Score:
     slack_cycles: int | None = None
     max_road_slack: float | None = None
     solver_failures: int | None = None
+    traffic: str = "replay"

@@ -33,6 +33,7 @@ from dosplan.scenario.synthetic import (
 from dosplan.scoring.score import failed_score, score
 from dosplan.scoring.solver import SLACK_SEEN, telemetry
 from dosplan.simulation.loop import run_episode
+from dosplan.simulation.traffic import Replay, Traffic
 from dosplan.system.files import FileError
 from dosplan.types import (
     USER_VELOCITY,
@@ -45,6 +46,7 @@ from dosplan.types import (
     Outcome,
     Plan,
     RoadMap,
+    RoadUserKind,
     Scenario,
     SolveReport,
     SolveStatus,
@@ -54,6 +56,7 @@ from dosplan.vehicle import VehicleParameters
 from tests.support import faulty
 from tests.support.factories import arc_route
 from tests.support.runs import run_leaky, write_followed
+from tests.support.traffic import ShyTraffic, braking_before, followed
 
 FAULTY = Path(faulty.__file__)
 VEHICLE = VehicleParameters()
@@ -358,6 +361,26 @@ def test_a_success_tells_its_margins(tmp_path: Path) -> None:
     assert left.clearance.road_user == 100
     assert left.road == pytest.approx(LANE_WIDTH / 2.0 - VEHICLE.width / 2.0)
     assert (left.reached, left.spare) == pytest.approx((1.9, 3.1))  # x = 20.4 m at step 19.
+
+
+def test_who_reacted_is_explained_as_it_was_driven(tmp_path: Path) -> None:
+    scenario, path = followed(), tmp_path / "e.npz"
+
+    def explain_among(traffic: Traffic) -> Explanation:
+        episode = braking_before(traffic)
+        path.write_bytes(pack_recording(scenario, episode))
+        return explain_episode(scenario, score(scenario, episode), load_recording(path))
+
+    assert collision_of(explain_among(Replay())).road_user == 100
+    found = explain_among(ShyTraffic())
+    assert (found.outcome, found.collision) == (Outcome.SUCCESS, None)
+    left = found.margins
+    assert left is not None
+    assert left.clearance is not None
+    assert (left.clearance.road_user, left.clearance.kind) == (100, RoadUserKind.CAR)
+    # It stands within 12 m of the ego's centre, and came a step of 1 m further at most.
+    between = 0.5 * (scenario.task.vehicle.length + 4.5)
+    assert 11.0 - between - 1.0 < left.clearance.metres < 12.0 - between
 
 
 def test_a_success_on_an_empty_road(tmp_path: Path) -> None:

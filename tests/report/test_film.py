@@ -47,6 +47,7 @@ from dosplan.types import (
 from dosplan.vehicle import VehicleParameters
 from tests.support import faulty
 from tests.support.runs import run_leaky, write_followed
+from tests.support.traffic import ShyTraffic, braking_before, followed
 
 FAULTY = Path(faulty.__file__)
 VEHICLE = VehicleParameters()
@@ -83,6 +84,20 @@ def driven(folder: Path, scenario: Scenario, arm: Arm = Arm.WITH_DOS) -> Take:
     row = score(scenario, episode)
     drive = Drive(scenario, row, load_recording(path))
     return Take(ARM_TITLES[arm], ARM_COLOURS[arm], scenario, row, drive)
+
+
+def test_a_film_shows_road_users_as_they_were_driven(tmp_path: Path) -> None:
+    scenario, episode = followed(), braking_before(ShyTraffic())
+    path = tmp_path / "e.npz"
+    path.write_bytes(pack_recording(scenario, episode))
+    row = score(scenario, episode)
+    take = Take("", "#000000", scenario, row, Drive(scenario, row, load_recording(path)))
+    assert take.tracks.ids.tolist() == [100, 900]
+    np.testing.assert_array_equal(take.tracks.states, episode.tracks.states)
+    assert take.verdict.startswith("success")
+    film = Film([take], "")
+    assert RoadUserKind.CAR in film.panels[0].kinds_in_view()
+    film.panels[0].show(take.end)
 
 
 def following(*, gap: float = 30.0, final_step: int = 20, velocity: float = 10.0) -> Scenario:

@@ -13,11 +13,18 @@ import pytest
 
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, RunSettings, write_manifest
-from dosplan.results.recording import KEPT_EVERY, NEARBY_METRES, load_recording, pack_recording
+from dosplan.results.recording import (
+    KEPT_EVERY,
+    NEARBY_METRES,
+    load_cycle_ms,
+    load_recording,
+    pack_recording,
+)
 from dosplan.results.rows import append_row, read_rows, read_run, row_line, write_rows
 from dosplan.results.summary import pooled_cycle_ms, summarise
 from dosplan.scenario.synthetic import straight_scenario
 from dosplan.scoring.score import failed_score
+from dosplan.simulation.traffic import Replay
 from dosplan.system.files import (
     FileError,
     atomic_file,
@@ -40,6 +47,7 @@ from dosplan.types import (
     SolveReport,
     SolveStatus,
 )
+from tests.support.traffic import ShyTraffic, braking_before, followed
 
 SCENARIO = straight_scenario()
 
@@ -301,6 +309,57 @@ def test_sets_that_are_not_valid_come_back_as_nan(tmp_path: Path) -> None:
     assert np.isfinite(back.set_centres[0, 0]).all()
     assert np.isnan(back.set_centres[0, 1]).all()
     assert np.isnan(back.set_angles[0, 1])
+
+
+def test_road_users_that_reacted_are_in_the_file_and_recorded_ones_are_not(tmp_path: Path) -> None:
+    path = tmp_path / "e.npz"
+    scenario, episode = followed(), braking_before(ShyTraffic())
+    triangle = np.array([[2.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
+    odd = replace(episode.tracks, outlines=(None, triangle))
+    write_bytes(path, pack_recording(scenario, replace(episode, tracks=odd)))
+    back = load_recording(path)
+    assert back.traffic == "shy-v1"
+    tracks = back.tracks_in(scenario)
+    for name in ("ids", "size", "states", "valid"):
+        np.testing.assert_array_equal(getattr(tracks, name), getattr(odd, name))
+    assert tracks.kinds == odd.kinds
+    assert tracks.outlines[0] is None
+    np.testing.assert_array_equal(tracks.outlines[1], triangle)
+
+    write_bytes(path, pack_recording(scenario, braking_before(Replay())))
+    back = load_recording(path)
+    assert (back.traffic, back.tracks) == ("replay", None)
+    assert back.tracks_in(scenario) is scenario.tracks
+    with np.load(path) as file:
+        assert not [name for name in file.files if name.startswith("user_")]
+
+
+def test_times_and_slacks_are_kept_exactly_and_those_of_older_files_are_read(
+    tmp_path: Path,
+) -> None:
+    path, third = tmp_path / "e.npz", 1.0 / 3.0
+    episode = _episode(cycles=2)
+    report = SolveReport(SolveStatus.SOLVED, slack=third, road_slack=third, active_ids=(7,))
+    episode = replace(
+        episode,
+        plans=tuple(replace(plan, report=report) for plan in episode.plans),
+        predict_seconds=np.full(2, third),
+    )
+    write_bytes(path, pack_recording(SCENARIO, episode))
+    back = load_recording(path)
+    assert back.exact
+    assert back.reports == (report, report)
+    np.testing.assert_array_equal(back.predict_seconds, episode.predict_seconds)
+    np.testing.assert_array_equal(load_cycle_ms(path), back.cycle_ms)
+    with np.load(path) as file:
+        kept = {name: file[name] for name in file.files if name != "traffic"}
+    for part in ("predict", "plan"):
+        kept[f"{part}_ms"] = (1e3 * kept.pop(f"{part}_seconds")).astype(np.float32)
+    np.savez(path, **kept)
+    old = load_recording(path)
+    assert (old.exact, old.traffic) == (False, "replay")
+    np.testing.assert_allclose(old.predict_seconds, third, rtol=1e-7)
+    np.testing.assert_array_equal(load_cycle_ms(path), old.cycle_ms)
 
 
 def test_an_episode_without_a_cycle_is_kept(tmp_path: Path) -> None:

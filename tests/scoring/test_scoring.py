@@ -13,6 +13,7 @@ import dosplan.scoring.score
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.scoring import score as scoring
 from dosplan.scoring.score import failed_score, min_time_to_collision
+from dosplan.simulation.traffic import Replay
 from dosplan.types import (
     Arm,
     CollisionClass,
@@ -27,6 +28,7 @@ from dosplan.types import (
     SolveReport,
 )
 from dosplan.vehicle import VehicleParameters
+from tests.support.traffic import ShyTraffic, braking_before, followed
 
 VEHICLE = VehicleParameters()
 DT = 0.1
@@ -121,6 +123,16 @@ def test_the_tasks_own_vehicle_is_scored() -> None:
     assert score(scenario, episode(holding(20))).collision_step is None
     scenario = replace(scenario, task=replace(scenario.task, vehicle=van))
     assert score(scenario, episode(holding(20))).collision_step == 20
+
+
+def test_the_road_users_of_the_episode_are_scored_and_not_those_of_the_recording() -> None:
+    scenario = followed()
+    replayed = scoring.score(scenario, braking_before(Replay()))
+    assert (replayed.outcome, replayed.collision_with) == (Outcome.COLLISION, 100)
+    assert replayed.traffic == "replay"
+    shy = scoring.score(scenario, braking_before(ShyTraffic()))
+    assert (shy.outcome, shy.collision_step) == (Outcome.SUCCESS, None)
+    assert shy.traffic == "shy-v1"
 
 
 def test_a_collision_that_the_ego_is_to_blame_for_is_reported_before_an_earlier_one() -> None:

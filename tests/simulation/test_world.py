@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dosplan_baseline.brake import BrakePlanner
 from dosplan_baseline.cruise import CruisePlanner
 from dosplan_simple.predictors import GroundTruthPredictor, NonePredictor
 
@@ -18,7 +17,7 @@ from dosplan.simulation.traffic import Replay, RoadUsers
 from dosplan.simulation.world import World, watch
 from dosplan.types import EGO_SIZE, Arm, EpisodeEnd, FloatArray, Scenario, ShapeError, Tracks
 from tests.support.factories import steady_tracks, straight_scenario
-from tests.support.traffic import LostTraffic, ShyTraffic
+from tests.support.traffic import LostTraffic, ShyTraffic, braking_before, followed
 
 COAST = np.zeros(2)
 
@@ -119,10 +118,7 @@ def test_a_replay_is_the_recording_itself_in_the_episode() -> None:
 
 def test_who_reacts_is_in_the_episode_as_it_was_driven() -> None:
     # The ego brakes hard; who follows it at 10 m/s stands when it comes near.
-    scenario = straight_scenario(steady_tracks([[-18.0, 0.0, 0.0, 10.0]]))
-    episode = run_episode(
-        scenario, BrakePlanner(), NonePredictor(), Arm.WITH_DOS, traffic=ShyTraffic()
-    )
+    scenario, episode = followed(), braking_before(ShyTraffic())
     assert episode.traffic == "shy-v1"
     assert episode.tracks.steps == len(episode.states) == 51
     follower = episode.tracks.states[0]

@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
+from dosplan_baseline.brake import BrakePlanner
+from dosplan_simple.predictors import NonePredictor
 
+from dosplan.scenario.synthetic import steady_tracks, straight_scenario
+from dosplan.simulation.loop import run_episode
 from dosplan.simulation.traffic import Replay, RoadUsers, Traffic
-from dosplan.types import USER_VELOCITY, FloatArray, RoadUserKind, Scenario, Tracks
+from dosplan.types import (
+    USER_VELOCITY,
+    Arm,
+    Episode,
+    FloatArray,
+    RoadUserKind,
+    Scenario,
+    Tracks,
+)
 
 NEAR = 12.0  # m
 
@@ -56,3 +69,14 @@ class LostTraffic(ShyTraffic):
         if len(ego) == 3:
             raise KeyError("way")
         return super().step(step, ego)
+
+
+@cache
+def followed() -> Scenario:
+    """The ego at 10 m/s; who follows 19 m behind it at the same speed is recorded to drive on."""
+    return straight_scenario(steady_tracks([[-18.0, 0.0, 0.0, 10.0]]))
+
+
+def braking_before(traffic: Traffic) -> Episode:
+    """The ego brakes to a stop in front of who follows it."""
+    return run_episode(followed(), BrakePlanner(), NonePredictor(), Arm.WITH_DOS, traffic=traffic)

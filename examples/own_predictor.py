@@ -17,14 +17,11 @@ class Straight(Predictor):
         heading = np.repeat(now[:, USER_HEADING, None], self.horizon, axis=1)
         driven = now[:, USER_VELOCITY, None] * observation.dt * np.arange(1, self.horizon + 1)
         along = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        return Occupancy(
-            ids=observation.ids,
+        return Occupancy.from_trajectory(
+            observation,
             centre=now[:, None, :2] + driven[..., None] * along,
-            semi_axes=np.stack([0.2 * driven, 0.05 * driven], axis=-1),  # Along it and across.
-            angle=heading,
-            valid=np.ones_like(heading, dtype=np.bool_),
-            footprint=observation.size,
             heading=heading,
+            semi_axes=np.stack([0.2 * driven, 0.05 * driven], axis=-1),  # Along it and across.
         )
 
 

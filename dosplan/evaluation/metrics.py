@@ -80,44 +80,6 @@ def mean_displacement(error: Floats) -> float | None:
     return float(error[counted].mean(dtype=np.float64)) if counted.any() else None
 
 
-def mahalanobis(
-    point: FloatArray, centre: FloatArray, semi_axes: FloatArray, angle: FloatArray
-) -> FloatArray:
-    """Distance of a point to an ellipse's centre in multiples of the ellipse: 1 on its boundary.
-
-    With (u, v) the point in the frame of the axes, d = sqrt((u / a)^2 + (v / b)^2). Along a
-    semi-axis of zero there is the centre only: every other point is infinitely far.
-
-    Args:
-        point: (..., 2) points, m.
-        centre: (..., 2) centres, m.
-        semi_axes: (..., 2) semi-axes a and b, m, >= 0.
-        angle: (...) direction of the first semi-axis, rad.
-
-    Returns:
-        (...) distances; NaN where a point or a centre is.
-    """
-    x, y = np.moveaxis(point - centre, -1, 0)
-    cos, sin = np.cos(angle), np.sin(angle)
-    local = np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
-    outside = np.where(local == 0.0, 0.0, np.inf)
-    scaled = np.divide(np.abs(local), semi_axes, out=outside, where=semi_axes > 0.0)
-    distance = np.hypot(scaled[..., 0], scaled[..., 1])
-    return np.where(np.isnan(x) | np.isnan(y), np.nan, distance)
-
-
-def ellipse_area(semi_axes: FloatArray) -> FloatArray:
-    """Area of an ellipse, pi a b (the paper's pi/4 l w with l = 2 a and w = 2 b).
-
-    Args:
-        semi_axes: (..., 2) semi-axes, m.
-
-    Returns:
-        (...) m2.
-    """
-    return np.asarray(np.pi * semi_axes[..., 0] * semi_axes[..., 1])
-
-
 def covered(distance: Floats) -> BoolArray:
     """Whether a point is in its set; its boundary belongs to it.
 

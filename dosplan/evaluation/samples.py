@@ -18,8 +18,9 @@ import numpy.typing as npt
 from dosplan.api import OraclePredictor, Predictor
 from dosplan.evaluation.groups import KINDS, MOVING, family_of
 from dosplan.evaluation.limits import REPRESENTATIONS, upper_limits
-from dosplan.evaluation.metrics import displacement, ellipse_area, mahalanobis
+from dosplan.evaluation.metrics import displacement
 from dosplan.evaluation.windows import HORIZON_COLUMNS, STEPS, Moment, moments
+from dosplan.geometry import ellipse_area, mahalanobis
 from dosplan.system.errors import DosplanError, failure_place, one_line
 from dosplan.types import (
     USER_HEADING,

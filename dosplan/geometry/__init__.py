@@ -1,5 +1,12 @@
-"""Geometry of the plane, paths in it, and the goal's regions."""
+"""Geometry of the plane, ellipses and paths in it, and the goal's regions."""
 
+from dosplan.geometry.ellipse import (
+    ellipse_area,
+    ellipse_extent,
+    inside_ellipse,
+    mahalanobis,
+    set_sizes,
+)
 from dosplan.geometry.path import (
     PATH_CURVATURE,
     PATH_HEADING,
@@ -30,9 +37,14 @@ __all__ = [
     "ReferencePath",
     "areas",
     "braking_envelope",
+    "ellipse_area",
+    "ellipse_extent",
+    "inside_ellipse",
     "lanelet_cells",
     "lanelet_polygon",
+    "mahalanobis",
     "rectangle_corners",
+    "set_sizes",
     "to_body",
     "to_world",
     "wrap_angle",

@@ -215,12 +215,9 @@ def growing_sets(observation: Observation, horizon: int = 40) -> Occupancy:
     way = now[:, USER_VELOCITY, None] * time
     direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     reach = 0.1 + 0.4 * time
-    return Occupancy(
-        ids=observation.ids,
+    return Occupancy.from_trajectory(
+        observation,
         centre=now[:, None, :2] + way[..., None] * direction,
-        semi_axes=np.tile(np.stack([reach, 0.5 * reach], axis=-1), (len(now), 1, 1)),
-        angle=heading,
-        valid=np.ones(heading.shape, dtype=np.bool_),
-        footprint=observation.size,
         heading=heading,
+        semi_axes=np.tile(np.stack([reach, 0.5 * reach], axis=-1), (len(now), 1, 1)),
     )

@@ -114,6 +114,42 @@ class Occupancy:
         if np.any(self.semi_axes[self.valid] < 0):
             raise ShapeError("Occupancy.semi_axes holds a negative length")
 
+    @classmethod
+    def from_trajectory(
+        cls,
+        observation: Observation,
+        centre: FloatArray,
+        heading: FloatArray,
+        semi_axes: FloatArray | None = None,
+        angle: FloatArray | None = None,
+        valid: BoolArray | None = None,
+    ) -> Self:
+        """Sets around the predicted trajectories of all road users that are on the scene now.
+
+        Args:
+            observation: What the prediction was made from; N road users.
+            centre: (N, T, 2) predicted centres, m.
+            heading: (N, T) predicted headings, rad.
+            semi_axes: (N, T, 2) semi-axes, m; None for points.
+            angle: (N, T) direction of the first semi-axis, rad; None for that of the heading.
+            valid: (N, T) where there is a prediction; None for everywhere.
+
+        Returns:
+            The sets.
+
+        Raises:
+            ShapeError: The shapes do not match, or a value is not finite where valid.
+        """
+        return cls(
+            ids=observation.ids,
+            centre=centre,
+            semi_axes=np.zeros_like(centre) if semi_axes is None else semi_axes,
+            angle=heading if angle is None else angle,
+            valid=np.ones_like(heading, dtype=np.bool_) if valid is None else valid,
+            footprint=observation.size,
+            heading=heading,
+        )
+
     @property
     def horizon(self) -> int:
         """Number T of predicted steps."""

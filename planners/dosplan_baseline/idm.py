@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 
 from dosplan.api import Planner
-from dosplan.geometry import ReferencePath, rectangle_corners
+from dosplan.geometry import ReferencePath, rectangle_corners, set_sizes
 from dosplan.types import (
     EGO_VELOCITY,
     FloatArray,
@@ -118,10 +118,7 @@ def find_leaders(
 
 
 def set_corners(occupancy: Occupancy, steps: int) -> FloatArray:
-    """Rectangles along each road user's heading that hold its footprint anywhere in its set.
-
-    The set reaches sqrt((a cos d)^2 + (b sin d)^2) far in a direction that is d off its first
-    semi-axis.
+    """Corners of the rectangles of ``geometry.set_sizes``.
 
     Args:
         occupancy: The sets of N road users.
@@ -130,19 +127,11 @@ def set_corners(occupancy: Occupancy, steps: int) -> FloatArray:
     Returns:
         (N, S, 4, 2) corners, m; around the origin where the occupancy is not valid.
     """
-    valid = occupancy.valid[:, :steps, None]
-    first, second = np.moveaxis(occupancy.semi_axes[:, :steps], -1, 0)
-    off = occupancy.heading[:, :steps] - occupancy.angle[:, :steps]
-    cos, sin = np.cos(off), np.sin(off)
-    reach = np.hypot(
-        np.stack([first * cos, first * sin], axis=-1),
-        np.stack([second * sin, second * cos], axis=-1),
-    )
-    size = occupancy.footprint[:, None, :] + 2.0 * np.where(valid, reach, 0.0)
     poses = np.concatenate(
         [occupancy.centre[:, :steps], occupancy.heading[:, :steps, None]], axis=-1
     )
-    return rectangle_corners(np.where(valid, poses, 0.0), size)
+    poses = np.where(occupancy.valid[:, :steps, None], poses, 0.0)
+    return rectangle_corners(poses, set_sizes(occupancy, steps))
 
 
 class IdmPlanner(Planner):

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from dosplan.geometry import set_sizes
 from dosplan.types import FloatArray, Occupancy, RoadMap, Route
 from dosplan_peers import INSTALL
 
@@ -55,26 +56,6 @@ def reference_path(route: Route) -> FloatArray:
     return np.concatenate(
         [route.path[0] - steps[::-1] * behind, route.path, route.path[-1] + steps * ahead]
     )
-
-
-def set_sizes(occupancy: Occupancy) -> FloatArray:
-    """Rectangles along each road user's heading that hold its footprint anywhere in its set.
-
-    The set reaches sqrt((a cos d)^2 + (b sin d)^2) far in a direction that is d off its first
-    semi-axis. With semi-axes of zero it is the footprint that remains.
-
-    Args:
-        occupancy: The sets of N road users at T steps.
-
-    Returns:
-        (N, T, 2) length and width, m; anything where the occupancy is not valid.
-    """
-    off = occupancy.heading - occupancy.angle
-    cos, sin = np.cos(off), np.sin(off)
-    first, second = np.moveaxis(occupancy.semi_axes, -1, 0)
-    along = np.hypot(first * cos, second * sin)
-    across = np.hypot(first * sin, second * cos)
-    return np.asarray(occupancy.footprint[:, None] + 2.0 * np.stack([along, across], axis=-1))
 
 
 def moving_rectangles(occupancy: Occupancy, step: int, steps: int) -> list[Any]:

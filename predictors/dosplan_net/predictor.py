@@ -116,20 +116,12 @@ def placed(observation: Observation, moving: IntArray, local: FloatArray) -> Occ
         Points for all N road users.
     """
     now = observation.states[:, -1]
-    count, steps = len(now), local.shape[1]
+    steps = local.shape[1]
     centre = np.repeat(now[:, None, :2], steps, axis=1)
     heading = np.repeat(now[:, USER_HEADING, None], steps, axis=1)
     centre[moving] = to_world(local, now[moving, :3])
     heading[moving] += _turned(local)
-    return Occupancy(
-        ids=observation.ids,
-        centre=centre,
-        semi_axes=np.zeros((count, steps, 2)),
-        angle=heading,
-        valid=np.ones((count, steps), dtype=np.bool_),
-        footprint=observation.size,
-        heading=heading,
-    )
+    return Occupancy.from_trajectory(observation, centre, heading)
 
 
 def _turned(local: FloatArray) -> FloatArray:

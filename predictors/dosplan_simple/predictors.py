@@ -43,31 +43,6 @@ def of_kind(observation: Observation, kinds: frozenset[RoadUserKind]) -> BoolArr
     return np.array([kind in kinds for kind in observation.kinds], dtype=np.bool_)
 
 
-def points(
-    observation: Observation, centre: FloatArray, heading: FloatArray, valid: BoolArray
-) -> Occupancy:
-    """An occupancy whose sets are the predicted centres themselves.
-
-    Args:
-        observation: What the prediction was made from.
-        centre: (N, T, 2) predicted centres, m.
-        heading: (N, T) predicted headings, rad.
-        valid: (N, T) where there is a prediction.
-
-    Returns:
-        The occupancy.
-    """
-    return Occupancy(
-        ids=observation.ids,
-        centre=centre,
-        semi_axes=np.zeros_like(centre),
-        angle=np.zeros_like(heading),
-        valid=valid,
-        footprint=observation.size,
-        heading=heading,
-    )
-
-
 class NonePredictor(Predictor):
     """Predicts nobody: what a planner does on an empty road."""
 
@@ -83,11 +58,11 @@ class NonePredictor(Predictor):
             An occupancy that is valid nowhere.
         """
         shape = (len(observation.ids), self.horizon)
-        return points(
+        return Occupancy.from_trajectory(
             observation,
             np.full((*shape, 2), np.nan),
             np.full(shape, np.nan),
-            np.zeros(shape, dtype=np.bool_),
+            valid=np.zeros(shape, dtype=np.bool_),
         )
 
 
@@ -125,11 +100,8 @@ class KinematicPredictor(Predictor):
         chord = velocity[:, None] * time * np.sinc(turned / (2.0 * np.pi))
         middle = now[:, USER_HEADING, None] + 0.5 * turned
         way = chord[..., None] * np.stack([np.cos(middle), np.sin(middle)], axis=-1)
-        return points(
-            observation,
-            now[:, None, :2] + way,
-            now[:, USER_HEADING, None] + turned,
-            np.ones(turned.shape, dtype=np.bool_),
+        return Occupancy.from_trajectory(
+            observation, now[:, None, :2] + way, now[:, USER_HEADING, None] + turned
         )
 
 
@@ -241,4 +213,6 @@ class GroundTruthPredictor(OraclePredictor):
         index = np.ix_(rows, np.minimum(columns, tracks.steps - 1))
         valid = tracks.valid[index] & recorded
         future = np.where(valid[..., None], tracks.states[index], np.nan)
-        return points(observation, future[..., :2], future[..., USER_HEADING], valid)
+        return Occupancy.from_trajectory(
+            observation, future[..., :2], future[..., USER_HEADING], valid=valid
+        )

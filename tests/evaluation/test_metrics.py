@@ -19,11 +19,8 @@ from dosplan.evaluation.metrics import (
     average_displacement,
     clustered_ratio,
     coverage_at_area,
-    covered,
     covering_scale,
     displacement,
-    ellipse_area,
-    mahalanobis,
     mean_displacement,
     scaled_area,
 )
@@ -32,46 +29,6 @@ from dosplan.types import FloatArray
 LENGTH = st.floats(0.1, 50.0)
 ANGLE = st.floats(-10.0, 10.0)
 PLACE = st.floats(-100.0, 100.0)
-
-
-@given(PLACE, PLACE, LENGTH, LENGTH, ANGLE, ANGLE, st.floats(0.0, 20.0))
-def test_distance_is_the_factor_that_brings_the_boundary_to_the_point(
-    x: float, y: float, a: float, b: float, angle: float, where: float, factor: float
-) -> None:
-    u, v = factor * a * np.cos(where), factor * b * np.sin(where)
-    centre = np.array([x, y])
-    turned = np.array(
-        [np.cos(angle) * u - np.sin(angle) * v, np.sin(angle) * u + np.cos(angle) * v]
-    )
-    distance = mahalanobis(centre + turned, centre, np.array([a, b]), np.array(angle))
-    assert distance == pytest.approx(factor, rel=1e-6, abs=1e-9)
-
-
-def test_distance_on_both_sides_of_the_boundary() -> None:
-    point = np.array([[1.999, 0.0], [2.0, 0.0], [2.001, 0.0], [0.0, 1.001]])
-    distance = mahalanobis(point, np.zeros(2), np.array([2.0, 1.0]), np.array(0.0))
-    assert covered(distance).tolist() == [True, True, False, False]
-
-
-def test_a_set_without_extent_holds_its_centre_alone() -> None:
-    point = np.array([[0.0, 0.0], [1e-9, 0.0], [0.5, 0.0], [0.5, 1e-9]])
-    axes = np.array([[0.0, 0.0], [0.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
-    distance = mahalanobis(point, np.zeros(2), axes, np.array(0.0))
-    assert distance.tolist() == [0.0, np.inf, 0.5, np.inf]
-
-
-def test_where_there_is_no_truth_there_is_no_distance_and_nothing_is_covered() -> None:
-    point = np.array([[np.nan, np.nan], [0.0, 0.0]])
-    axes = np.array([[1.0, 1.0], [0.0, 0.0]])
-    distance = mahalanobis(point, np.zeros(2), axes, np.zeros(2))
-    assert np.isnan(distance[0])
-    assert covered(distance).tolist() == [False, True]
-
-
-def test_areas_are_those_of_the_papers_circles() -> None:
-    # Table 1: r = 1, r = 2, and v1 with z = 0.7 at 4 s.
-    areas = ellipse_area(np.array([[1.0, 1.0], [2.0, 2.0], [2.8, 2.8]]))
-    assert areas == pytest.approx([3.142, 12.566, 24.63], abs=5e-4)
 
 
 def test_average_displacement_weighs_pairs_not_windows() -> None:

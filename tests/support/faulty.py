@@ -137,14 +137,11 @@ class StillPredictor(Predictor):
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         n, t = len(observation.ids), self.horizon
         now = observation.states[:, -1]
-        return Occupancy(
-            ids=observation.ids,
-            centre=np.repeat(now[:, None, :2], t, axis=1),
+        return Occupancy.from_trajectory(
+            observation,
+            np.repeat(now[:, None, :2], t, axis=1),
+            np.repeat(now[:, None, 2], t, axis=1),
             semi_axes=np.ones((n, t, 2)),
-            angle=np.zeros((n, t)),
-            valid=np.ones((n, t), dtype=np.bool_),
-            footprint=observation.size,
-            heading=np.repeat(now[:, None, 2], t, axis=1),
         )
 
 

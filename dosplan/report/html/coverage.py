@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dosplan.evaluation.groups import MOVING
+from dosplan.geometry import inside_ellipse
 from dosplan.results.recording import Recording
 from dosplan.types import USER_VELOCITY, BoolArray, FloatArray, IntArray, Tracks
 
@@ -95,16 +96,16 @@ def sets_met(recording: Recording, tracks: Tracks, driven: int) -> SetsMet:
     target = step[:, None] + recording.set_offsets
     column = np.minimum(target, tracks.steps - 1)
     there = (user >= 0)[:, None] & (target < tracks.steps) & tracks.valid[user[:, None], column]
-    apart = tracks.states[user[:, None], column, :2] - centre
+    truth = tracks.states[user[:, None], column, :2]
     counted = there & np.all(axes > 0.0, axis=-1)
     now = tracks.states[user, np.minimum(step, tracks.steps - 1), USER_VELOCITY]
     return SetsMet(
         step=step,
         ids=ids,
         offsets=recording.set_offsets,
-        miss=np.where(there, np.linalg.norm(apart, axis=-1), np.nan),
+        miss=np.where(there, np.linalg.norm(truth - centre, axis=-1), np.nan),
         counted=counted,
-        inside=counted & _inside(apart, axes, angle),
+        inside=counted & inside_ellipse(truth, centre, axes, angle),
         moving=np.abs(now) >= MOVING,
     )
 
@@ -161,15 +162,6 @@ def foretold(met: SetsMet, user: int, step: int) -> list[Foretold]:
             held = bool(met.inside[row, column]) if met.counted[row, column] else None
             answer.append(Foretold(offset, float(met.miss[row, column]), held))
     return answer
-
-
-def _inside(offset: FloatArray, axes: FloatArray, angle: FloatArray) -> BoolArray:
-    """Whether (..., 2) offsets from centres lie in ellipses; False for those without an extent."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    along = offset[..., 0] * cos + offset[..., 1] * sin
-    across = offset[..., 1] * cos - offset[..., 0] * sin
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray((along / axes[..., 0]) ** 2 + (across / axes[..., 1]) ** 2 <= 1.0)
 
 
 def _indices(wanted: IntArray, ids: IntArray) -> IntArray:

@@ -8,8 +8,6 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from dosplan.api import NoPlanError, Planner
 from dosplan.plugins.registry import RegistryError, create_planner, find_planner
@@ -34,7 +32,6 @@ from dosplan_peers.world import (
     commonroad_scenario,
     moving_rectangles,
     reference_path,
-    set_sizes,
     swept,
 )
 
@@ -55,35 +52,6 @@ def one_set(
         footprint=np.array([[4.0, 2.0]]),
         heading=np.full((1, t), heading),
     )
-
-
-@pytest.mark.parametrize(
-    ("semi_axes", "angle", "heading", "size"),
-    [
-        ((0.0, 0.0), 0.3, 1.2, (4.0, 2.0)),  # No set: the footprint.
-        ((3.0, 1.0), 0.5, 0.5, (10.0, 4.0)),  # Along the heading: 4 + 2 * 3 and 2 + 2 * 1.
-        ((3.0, 1.0), 0.5 + np.pi / 2.0, 0.5, (6.0, 8.0)),  # Across it: 4 + 2 * 1 and 2 + 2 * 3.
-    ],
-)
-def test_a_rectangle_grows_by_the_set(
-    semi_axes: tuple[float, float], angle: float, heading: float, size: tuple[float, float]
-) -> None:
-    assert set_sizes(one_set(semi_axes, angle, heading))[0, 0] == pytest.approx(size)
-
-
-@given(st.floats(0.0, 5.0), st.floats(0.0, 5.0), st.floats(-3.2, 3.2), st.floats(-3.2, 3.2))
-@settings(max_examples=50, deadline=None)
-def test_the_rectangle_is_the_smallest_that_holds_the_set(
-    first: float, second: float, angle: float, heading: float
-) -> None:
-    around = np.linspace(0.0, 2.0 * np.pi, 721)
-    x, y = first * np.cos(around), second * np.sin(around)
-    off = angle - heading
-    along, across = x * np.cos(off) - y * np.sin(off), x * np.sin(off) + y * np.cos(off)
-    length, width = set_sizes(one_set((first, second), angle, heading))[0, 0]
-    # A fan of half a degree misses the extreme by a share of 1 - cos(0.25 degrees) < 1e-5.
-    assert 2.0 * along.max() + 4.0 == pytest.approx(length, abs=1e-4)
-    assert 2.0 * across.max() + 2.0 == pytest.approx(width, abs=1e-4)
 
 
 def test_each_stretch_on_the_scene_is_an_obstacle_of_its_own() -> None:

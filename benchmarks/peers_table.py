@@ -14,9 +14,10 @@ from typing import Any, Final
 
 from dosplan.cli.arguments import console
 from dosplan.report.progress import show_run
-from dosplan.report.tables import markdown
+from dosplan.results.markdown import markdown
 from dosplan.results.summary import read_summary
 from dosplan.running.run import RunConfig, run
+from dosplan.scoring.metrics import find_metric
 from dosplan.system.files import write_json, write_text
 from dosplan.system.provenance import describe_environment
 from dosplan.types import Arm
@@ -33,19 +34,18 @@ PREDICTORS: Final = {
     "wale-net": tuple(Arm),
 }
 BY_DEFAULT: Final = ("dos", "constant-velocity", "ground-truth")  # Wale-Net takes hours.
-SHARES: Final = {
-    "Success %": "success_rate",
-    "Collision %": "collision_rate",
-    "At fault %": "at_fault_collision_rate",
-    "Out of bounds %": "out_of_bounds_rate",
-    "Goal missed %": "goal_missed_rate",
-    "Planner failure %": "planner_failure_rate",
-}
-DECIMALS: Final = {
-    "Velocity m/s": "velocity",
-    "Cycle p50 ms": "cycle_ms_p50",
-    "Cycle p99 ms": "cycle_ms_p99",
-}
+COLUMNS: Final = (
+    "success",
+    "collision",
+    "at_fault_collision",
+    "out_of_bounds",
+    "goal_missed",
+    "planner_failure",
+    "velocity",
+    "cycle_ms_p50",
+    "cycle_ms_p99",
+)
+"""Names of the metrics that are shown."""
 
 
 def main() -> None:
@@ -72,11 +72,11 @@ def main() -> None:
             with show_run(console(stderr=True)) as observer:
                 summary = read_summary(run(config, observer))
             rows += [
-                {"planner": planner, "predictor": predictor, "arm": arm.value} | asdict(figures)
+                {"planner": planner, "predictor": predictor, "arm": arm.value} | figures
                 for arm, figures in summary.arms.items()
             ]
     table = markdown(
-        ["Planner", "Predictor", "Arm", *SHARES, *DECIMALS, "n"],
+        ["Planner", "Predictor", "Arm", *(find_metric(name).heading for name in COLUMNS), "n"],
         [_cells(row) for row in rows],
     )
     figures = {"rows": rows, "environment": asdict(describe_environment())}
@@ -87,10 +87,9 @@ def main() -> None:
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    shares = [f"{100.0 * row[key]:.1f}" for key in SHARES.values()]
-    decimals = ["-" if row[key] is None else f"{row[key]:.1f}" for key in DECIMALS.values()]
+    shown = [metric.shown(row[metric.key]) for metric in map(find_metric, COLUMNS)]
     arm = str(row["arm"]).replace("_dos", " DOS")
-    return [row["planner"], row["predictor"], arm, *shares, *decimals, str(row["n"])]
+    return [row["planner"], row["predictor"], arm, *shown, str(row["n"])]
 
 
 def _options() -> argparse.Namespace:

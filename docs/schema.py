@@ -1,6 +1,7 @@
-"""Writes the tables of ``docs/run-folder.md`` from the dataclasses: ``python docs/schema.py``.
+"""Writes ``docs/metrics.md`` and the tables of ``docs/run-folder.md``: ``python docs/schema.py``.
 
-In the page, a table stands between ``<!-- RunManifest -->`` and ``<!-- end -->``, for each class.
+The tables are made from the table of metrics and from the dataclasses. In the page, a table stands
+between ``<!-- RunManifest -->`` and ``<!-- end -->``, for each class.
 """
 
 from __future__ import annotations
@@ -15,17 +16,39 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
-from dosplan.results.comparison import Change, Comparison, Difference
+from dosplan.results.comparison import Change, Comparison
 from dosplan.results.manifest import RunManifest, RunSettings
+from dosplan.results.markdown import markdown
+from dosplan.results.paired import Difference
+from dosplan.results.rows import LATER
 from dosplan.results.summary import ArmSummary, RunTitle, Summary
+from dosplan.scoring.metrics import METRICS
 from dosplan.system.provenance import Machine
 from dosplan.types import Score
 
 PAGE: Final = Path(__file__).with_name("run-folder.md")
+METRICS_PAGE: Final = PAGE.with_name("metrics.md")
 CLASSES: Final[tuple[type, ...]] = (
-    RunManifest, RunSettings, Machine, Score, Summary, ArmSummary, RunTitle, Comparison,
-    Difference, Change,
+    RunManifest, RunSettings, Machine, Score, Summary, RunTitle, Comparison, Difference,
+    Change,
 )  # fmt: skip
+_FLATTENED: Final = {"measures": "name of a measured metric", "differences": "name of a metric"}
+"""Fields whose entries are keys themselves."""
+_METRICS_HEAD: Final = """# Metrics
+
+Made from the table in `dosplan/scoring/metrics.py` by `python docs/schema.py`.
+
+Each episode has a value or none. The values of an arm become one figure: a share (from 0 to 1), a
+mean or the largest value, over the episodes that have a value. An episode that crashed is an
+episode like any other, so the denominator of an outcome's share is the number of scenarios.
+Percentiles of cycle times are over the planning cycles of all episodes pooled.
+
+*Key* is the figure's key in `summary.json`; *name*, where it differs, its key in a comparison.
+
+Arms and runs are compared scenario by scenario: shares as paired proportions (Tango's score
+interval, McNemar's exact test), all else by the mean of the differences within the scenarios (t
+interval and t test). Intervals, and the test of means, take into account that several scenarios are
+of one place: see `dosplan/results/paired.py`."""
 _NAMES: Final[dict[Any, str]] = {
     str: "text", bool: "true or false", int: "whole number", float: "number", Any: "anything",
     types.NoneType: "null",
@@ -52,15 +75,44 @@ def page_with_tables(page: str) -> str:
     return page
 
 
+def metrics_page() -> str:
+    """Writes down what each metric is.
+
+    Returns:
+        The text of ``docs/metrics.md``.
+    """
+    headings = ["metric", "unit", "key", "over the episodes", "better", "definition"]
+    rows = [
+        [
+            metric.title,
+            metric.unit or "-",
+            f"`{metric.key}`" + (f" (name `{metric.name}`)" if metric.key != metric.name else ""),
+            metric.aggregate.value,
+            metric.better.value,
+            metric.definition,
+        ]
+        for metric in METRICS
+    ]
+    return f"{_METRICS_HEAD}\n\n{markdown(headings, rows, numbers=False)}\n"
+
+
 def _table(kind: type) -> str:
     hints = get_type_hints(kind)
     rows = [
-        f"| `{field.name}` | {_type_name(hints[field.name])} | {_meaning(kind, field.name)} "
-        f"| {_absent(field)} |"
+        f"| {_key(field.name)} | {_value_type(hints, field.name)} | {_meaning(kind, field.name)} "
+        f"| {_absent(kind, field)} |"
         for field in fields(kind)
     ]
     head = ["| Key | Type | Meaning | Absent: read as |", "| --- | --- | --- | --- |"]
     return "\n".join([*head, *rows])
+
+
+def _key(name: str) -> str:
+    return f"[{_FLATTENED[name]}](metrics.md)" if name in _FLATTENED else f"`{name}`"
+
+
+def _value_type(hints: Mapping[str, Any], name: str) -> str:
+    return _type_name(get_args(hints[name])[1] if name in _FLATTENED else hints[name])
 
 
 def _type_name(hint: Any) -> str:
@@ -70,6 +122,8 @@ def _type_name(hint: Any) -> str:
         return " or ".join(_type_name(part) for part in get_args(hint))
     if get_origin(hint) is tuple:
         return f"list of: {_type_name(get_args(hint)[0])}"
+    if hint == ArmSummary:
+        return "[object](metrics.md)"
     if get_origin(hint) is Mapping:
         return f"object of: {_type_name(get_args(hint)[1])}"
     if is_dataclass(hint):
@@ -87,7 +141,13 @@ def _meaning(kind: type, name: str) -> str:
     return told.replace("``", "`").replace("|", "\\|").replace("None", "null")
 
 
-def _absent(field: Field[Any]) -> str:
+def _absent(kind: type, field: Field[Any]) -> str:
+    if field.name in _FLATTENED:
+        return "`null`"
+    if (
+        kind is Score and field.name not in LATER
+    ):  # Its defaults are those of an episode that was not driven.
+        return "never absent"
     if field.default is not MISSING:
         value = field.default
     elif field.default_factory is not MISSING:
@@ -99,3 +159,4 @@ def _absent(field: Field[Any]) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page_with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    METRICS_PAGE.write_text(metrics_page(), encoding="utf-8")

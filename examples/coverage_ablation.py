@@ -15,6 +15,6 @@ if __name__ == "__main__":
         )
         arm = results.summary.arms[dosplan.Arm.WITH_DOS]
         print(
-            f"{coverage:8.2f}  {arm.success_rate:7.1%}  {arm.collision_rate:9.1%}"
-            f"  {arm.velocity:4.1f} m/s  {arm.cycle_ms_p50:9.1f} ms"
+            f"{coverage:8.2f}  {arm['success_rate']:7.1%}  {arm['collision_rate']:9.1%}"
+            f"  {arm['velocity']:4.1f} m/s  {arm['cycle_ms_p50']:9.1f} ms"
         )

@@ -30,4 +30,5 @@ if __name__ == "__main__":
     for row in coast.rows:
         print(f"{row.scenario:24} {row.arm:12} {row.outcome:14} {row.velocity:5.1f} m/s")
     for c in dosplan.compare(idm, coast):
-        print(f"{c.b} against {c.a}: success {c.success.difference:+.0%} in {c.n} scenarios")
+        success = c.differences["success"].difference
+        print(f"{c.b} against {c.a}: success {success:+.0%} in {c.n} scenarios")

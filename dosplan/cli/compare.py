@@ -43,14 +43,12 @@ class CompareCommand:
             CompareError: The runs cannot be compared.
             FileError: A run cannot be read, or a file cannot be written.
         """
-        from dataclasses import asdict
-
         from dosplan.report.tables import comparison_tables
         from dosplan.results.comparison import compare_runs
 
         specs = [spec for spec in (options.run_a, options.run_b) if spec is not None]
         comparisons = compare_runs(specs)
-        figures = {"comparisons": [asdict(comparison) for comparison in comparisons]}
+        figures = {"comparisons": [comparison.content() for comparison in comparisons]}
         parts = [comparison_tables(c) for c in comparisons]
         if options.html is not None:
             from dosplan.report.html.write import write_comparison

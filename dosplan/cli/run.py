@@ -116,7 +116,7 @@ class RunCommand:
         )
         for line in error_lines(read_rows(folder.rows)):
             print(line, file=sys.stderr)
-        failures = any(arm.planner_failure_rate > 0 for arm in summary.arms.values())
+        failures = any(arm["planner_failure_rate"] for arm in summary.arms.values())
         return FAILED if failures else OK
 
 

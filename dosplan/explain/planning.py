@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from dosplan.explain.drive import Drive
-from dosplan.scoring.solver import SLACK_SEEN
+from dosplan.scoring.metrics import SLACK_SEEN
 from dosplan.types import SolveStatus
 
 WINDOW: Final = 2.0

@@ -9,7 +9,8 @@ from rich.console import Group, RenderableType
 
 from dosplan.evaluation.groups import SPEED_BINS
 from dosplan.evaluation.metrics import PAPER_AREAS
-from dosplan.report.tables import markdown, table
+from dosplan.report.tables import table
+from dosplan.results.markdown import markdown
 
 Block = tuple[str, list[str], list[list[str]]]
 Row = Mapping[str, Any]

@@ -17,7 +17,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from dosplan.report.tables import ARM_TITLES, table
+from dosplan.report.tables import table
+from dosplan.results.markdown import ARM_TITLES
 from dosplan.running.progress import Observer
 from dosplan.types import Arm, Outcome, Score
 

@@ -1,62 +1,30 @@
 """Paired comparison of two runs, or of the two arms of one, scenario by scenario.
 
-Both sides drove the same scenarios, so what is compared is the difference within each scenario:
-its mean with a percentile-bootstrap interval over scenarios and, for what either happens or not,
-the exact McNemar test (McNemar, 1947: among the scenarios whose verdict differs, both directions
-are equally likely).
+Both sides drove the same scenarios, so what is compared is the difference within each scenario, of
+every metric of ``dosplan.scoring.metrics``. Intervals and tests are those of
+``dosplan.results.paired``: they take into account that several scenarios are of one place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any
 
 import numpy as np
 
-from dosplan.results.intervals import mean_interval
+from dosplan.results.paired import Difference, mean_difference, share_difference
 from dosplan.results.rows import read_run
+from dosplan.scoring import metrics
+from dosplan.scoring.metrics import Metric
 from dosplan.system.errors import DosplanError
-from dosplan.types import Arm, FloatArray, Outcome, Score
-
-_VERDICTS: Final[dict[str, Callable[[Score], bool]]] = {
-    "success": lambda row: row.outcome is Outcome.SUCCESS,
-    "safe": lambda row: row.safe,
-    "collision": lambda row: row.outcome is Outcome.COLLISION,
-    "at_fault_collision": lambda row: row.at_fault,
-}
+from dosplan.system.typed import plain
+from dosplan.types import Arm, Outcome, Score, place_of
 
 
 class CompareError(DosplanError, ValueError):
     """Two runs that cannot be compared; the message is one line."""
-
-
-@dataclass(frozen=True)
-class Difference:
-    """A figure on both sides, and its mean paired difference.
-
-    Attributes:
-        n: Number of scenarios it is over.
-        a: Mean over the scenarios of side A.
-        b: Mean over the same scenarios of side B.
-        difference: ``b - a``.
-        low: Lower end of the 95 % interval of the difference.
-        high: Upper end.
-        only_a: Scenarios in which it is so on side A alone; None for velocity.
-        only_b: The same for side B.
-        p: Two-sided p of the exact McNemar test; None for velocity.
-    """
-
-    n: int
-    a: float
-    b: float
-    difference: float
-    low: float
-    high: float
-    only_a: int | None = None
-    only_b: int | None = None
-    p: float | None = None
 
 
 @dataclass(frozen=True)
@@ -82,24 +50,54 @@ class Comparison:
         a: Name of side A.
         b: Name of side B.
         n: Number of scenarios.
-        success: Share of ``success``.
-        safe: Share without collision and within bounds.
-        collision: Share of ``collision``.
-        at_fault_collision: Share with a collision that the ego is to blame for.
-        velocity: Mean velocity, m/s, over the scenarios in which both sides drove a step; None
-            where there is none.
+        places: Number of places these are of.
+        differences: The difference of each metric by its name, over the scenarios in which both
+            sides have a value; a metric is left out where there is none.
         changes: Scenarios whose outcome differs, in the run's order.
     """
 
     a: str
     b: str
     n: int
-    success: Difference
-    safe: Difference
-    collision: Difference
-    at_fault_collision: Difference
-    velocity: Difference | None
+    places: int
+    differences: Mapping[str, Difference]
     changes: tuple[Change, ...]
+
+    def content(self) -> dict[str, Any]:
+        """What JSON holds of it: a key for each metric, None where there is no difference."""
+        own = {name: value for name, value in vars(self).items() if name != "differences"}
+        found: dict[str, Any] = plain(
+            own | {m.name: self.differences.get(m.name) for m in metrics.METRICS}
+        )
+        return found
+
+    @staticmethod
+    def content_kind() -> type[Any]:
+        """A dataclass of the keys of ``content``; a metric may be absent in an older file."""
+        return make_dataclass(
+            "ComparisonContent",
+            [
+                ("a", str),
+                ("b", str),
+                ("n", int),
+                ("places", int),
+                ("changes", tuple[Change, ...]),
+                *((m.name, Difference | None, field(default=None)) for m in metrics.METRICS),
+            ],
+        )
+
+    @classmethod
+    def of_content(cls, content: Any) -> Comparison:
+        """The comparison that an object of ``content_kind`` holds."""
+        found = {m.name: getattr(content, m.name) for m in metrics.METRICS}
+        return cls(
+            a=content.a,
+            b=content.b,
+            n=content.n,
+            places=content.places,
+            differences={name: one for name, one in found.items() if one is not None},
+            changes=content.changes,
+        )
 
 
 def compare_rows(
@@ -128,23 +126,16 @@ def compare_rows(
     if not a:
         raise CompareError(f"{name_a} and {name_b} hold no scenario")
     pairs = [(row, by_scenario[row.scenario]) for row in a]
-    verdicts = {
-        name: _compare_verdicts(
-            np.array([verdict(left) for left, _ in pairs], dtype=np.float64),
-            np.array([verdict(right) for _, right in pairs], dtype=np.float64),
-        )
-        for name, verdict in _VERDICTS.items()
-    }
-    driven = [(x.velocity, y.velocity) for x, y in pairs if x.steps > 0 and y.steps > 0]
+    found = {metric.name: _compare(metric, pairs) for metric in metrics.METRICS}
     return Comparison(
         a=name_a,
         b=name_b,
         n=len(pairs),
-        velocity=_compare_means(*np.array(driven).T) if driven else None,
+        places=len({place_of(row.scenario) for row, _ in pairs}),
+        differences={name: one for name, one in found.items() if one is not None},
         changes=tuple(
             Change(x.scenario, x.outcome, y.outcome) for x, y in pairs if x.outcome is not y.outcome
         ),
-        **verdicts,
     )
 
 
@@ -226,22 +217,15 @@ def _read_sides(spec: str) -> dict[Arm, Side]:
     return held
 
 
-def _compare_verdicts(a: FloatArray, b: FloatArray) -> Difference:
-    from scipy.stats import binomtest  # A slow import that the rest of a run does without.
-
-    only_a, only_b = int(np.sum(a > b)), int(np.sum(b > a))
-    discordant = only_a + only_b
-    p = float(binomtest(only_b, discordant).pvalue) if discordant else 1.0
-    return replace(_compare_means(a, b), only_a=only_a, only_b=only_b, p=p)
-
-
-def _compare_means(a: FloatArray, b: FloatArray) -> Difference:
-    difference, low, high = mean_interval(b - a)
-    return Difference(
-        n=len(a),
-        a=float(a.mean()),
-        b=float(b.mean()),
-        difference=difference,
-        low=low,
-        high=high,
-    )
+def _compare(metric: Metric, pairs: Sequence[tuple[Score, Score]]) -> Difference | None:
+    """Compares a metric over those pairs in which both rows have a value; None without any."""
+    found = [
+        (left, right, place_of(x.scenario))
+        for x, y in pairs
+        if (left := metric.value(x)) is not None and (right := metric.value(y)) is not None
+    ]
+    if not found:
+        return None
+    a, b = (np.array([pair[side] for pair in found], dtype=np.float64) for side in (0, 1))
+    compare = share_difference if metric.is_share else mean_difference
+    return compare(a, b, [place for *_, place in found])

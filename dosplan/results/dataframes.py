@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import types
 from collections.abc import Iterable
-from dataclasses import asdict
 from enum import StrEnum
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
 
+from dosplan.scoring import metrics
 from dosplan.types import Score
 
 if TYPE_CHECKING:
@@ -68,7 +68,9 @@ def _imported(library: str) -> Any:
 
 def _columns() -> dict[str, type]:
     """The plain type of each column: ``str`` for an enumeration, ``int`` for ``int | None``."""
-    return {name: _plain(hint) for name, hint in get_type_hints(Score).items()}
+    hints = get_type_hints(Score)
+    del hints["measures"]
+    return {name: _plain(hint) for name, hint in hints.items()} | metrics.measured_kinds()
 
 
 def _plain(hint: Any) -> type:
@@ -79,5 +81,6 @@ def _plain(hint: Any) -> type:
 
 def _records(rows: Iterable[Score]) -> list[dict[str, Any]]:
     return [
-        {n: str(v) if isinstance(v, StrEnum) else v for n, v in asdict(row).items()} for row in rows
+        {n: str(v) if isinstance(v, StrEnum) else v for n, v in row.columns().items()}
+        for row in rows
     ]

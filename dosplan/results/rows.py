@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import field, make_dataclass
 from itertools import product
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, get_type_hints
 
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, read_manifest
+from dosplan.scoring import metrics
 from dosplan.system.files import FileError, atomic_file, parse_json
 from dosplan.system.typed import plain, typed
 from dosplan.types import Score
 
-_COLUMNS: Final = {column.name for column in fields(Score)}
+LATER: Final = ("traffic",)
+"""Columns that rows of earlier versions lack; there they have the default of ``Score``."""
+
+_COLUMNS: Final = {name: kind for name, kind in get_type_hints(Score).items() if name != "measures"}
 
 
 def row_line(score: Score) -> str:
@@ -30,7 +34,7 @@ def row_line(score: Score) -> str:
     Raises:
         ValueError: A figure is NaN or infinite.
     """
-    return json.dumps(plain(score), allow_nan=False) + "\n"
+    return json.dumps(plain(score.columns()), allow_nan=False) + "\n"
 
 
 def append_row(file: IO[bytes], score: Score) -> None:
@@ -67,10 +71,10 @@ def read_rows(path: Path) -> list[Score]:
     if not path.exists():
         return []
     *lines, _ = path.read_bytes().split(b"\n")
-    rows = []
+    rows, kind = [], _row_kind()
     for number, line in enumerate(lines, start=1):
         try:
-            rows.append(_score(parse_json(line)))
+            rows.append(_score(parse_json(line), kind))
         except (ValueError, RecursionError) as error:
             raise FileError(
                 f"{path}, line {number}, is not a row of this version ({error}); "
@@ -120,8 +124,20 @@ def read_run(path: Path) -> tuple[RunManifest, list[Score]]:
     return manifest, rows
 
 
-def _score(row: Any) -> Score:
+def _row_kind() -> type[Any]:
+    """A dataclass of the columns; those that metrics add may be absent in older rows."""
+    always = [column for column in _COLUMNS.items() if column[0] not in LATER]
+    later = [(name, _COLUMNS[name], field(default=getattr(Score, name))) for name in LATER]
+    measured = metrics.measured_kinds().items()
+    added = [(name, kind | None, field(default=None)) for name, kind in measured]
+    return make_dataclass("Row", [*always, *later, *added])
+
+
+def _score(row: Any, kind: type[Any]) -> Score:
     # A column that is not known is refused, as a misspelt one could be one that may be absent.
-    if isinstance(row, dict) and (odd := sorted(row.keys() - _COLUMNS)):
+    if isinstance(row, dict) and (odd := sorted(row.keys() - kind.__annotations__.keys())):
         raise ValueError(f"there is no column {odd[0]!r:.100}")
-    return typed(row, Score)
+    found = typed(row, kind)
+    columns = {name: getattr(found, name) for name in kind.__annotations__}
+    own = {name: columns.pop(name) for name in _COLUMNS}
+    return Score(**own, measures=columns)

@@ -1,19 +1,14 @@
 """The figures of a run: ``summary.json``.
 
-How the figures of the summary are averaged:
-
-* shares are over all scenarios of the run, but for ``comfortable_rate``;
-* ``velocity``, ``progress`` and ``comfortable_rate`` are means over the episodes that drove a
-  step (an episode that failed before its first step has no velocity);
-* ``min_time_to_collision`` is the mean over the episodes that have one;
-* ``cycle_ms_p50`` and ``cycle_ms_p99`` are percentiles over all planning cycles of all episodes
-  pooled, read from the episode files: a percentile of per-episode percentiles would be neither.
+The figures are those of ``dosplan.scoring.metrics``, which says of each how it is averaged.
+Percentiles of cycle times are over all planning cycles of all episodes pooled, read from the
+episode files: a percentile of per-episode percentiles would be neither.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field, make_dataclass
 from typing import Any
 
 import numpy as np
@@ -22,48 +17,15 @@ from dosplan.results.comparison import Comparison, compare_rows
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest
 from dosplan.results.recording import load_cycle_ms
+from dosplan.scoring import metrics
 from dosplan.system.files import FileError, read_json, write_json
 from dosplan.system.typed import plain, typed
-from dosplan.types import Arm, FloatArray, Outcome, Score
+from dosplan.types import Arm, FloatArray, Score
 
-
-@dataclass(frozen=True)
-class ArmSummary:
-    """The figures of one arm; shares lie between 0 and 1.
-
-    Attributes:
-        n: Number of scenarios, the denominator of every share.
-        success_rate: Share of ``success``.
-        safe_rate: Share without collision and within bounds (the paper's success).
-        collision_rate: Share of ``collision``.
-        at_fault_collision_rate: Share with a collision that the ego is to blame for.
-        out_of_bounds_rate: Share of ``out_of_bounds``.
-        goal_missed_rate: Share of ``goal_missed``.
-        planner_failure_rate: Share of ``planner_failure``.
-        comfortable_rate: Share, of the episodes that drove a step, in which every comfort bound
-            holds, or None where none did.
-        velocity: Mean velocity, m/s, or None where no episode drove a step.
-        progress: Mean distance along the reference path, m, or None likewise.
-        min_time_to_collision: Mean of the smallest times to collision, s, or None where no
-            episode has one.
-        cycle_ms_p50: Median time of a planning cycle, ms, or None where none ran.
-        cycle_ms_p99: 99th percentile of it.
-    """
-
-    n: int
-    success_rate: float
-    safe_rate: float
-    collision_rate: float
-    at_fault_collision_rate: float
-    out_of_bounds_rate: float
-    goal_missed_rate: float
-    planner_failure_rate: float
-    comfortable_rate: float | None
-    velocity: float | None
-    progress: float | None
-    min_time_to_collision: float | None
-    cycle_ms_p50: float | None
-    cycle_ms_p99: float | None
+ArmSummary = dict[str, int | float | None]
+"""The figures of one arm: ``n``, the number of scenarios, and the figure of each metric by its key
+(``dosplan.scoring.metrics.Metric.key``). Shares lie between 0 and 1; None where no episode has a
+value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +76,9 @@ class Summary:
     @property
     def content(self) -> dict[str, Any]:
         """What ``summary.json`` and ``--json`` hold: no key for what there is not."""
-        return {key: value for key, value in plain(self).items() if value is not None}
+        compared = None if self.comparison is None else self.comparison.content()
+        content = {**vars(self), "comparison": compared}
+        return {key: plain(value) for key, value in content.items() if value is not None}
 
 
 def summarise_run(folder: RunFolder, manifest: RunManifest, rows: Sequence[Score]) -> Summary:
@@ -131,10 +95,41 @@ def summarise_run(folder: RunFolder, manifest: RunManifest, rows: Sequence[Score
     Raises:
         FileError: The file of an episode that has cycles is missing or broken.
     """
-    config = manifest.config
-    times = {arm: pooled_cycle_ms(folder, rows, arm) for arm in config.arms}
-    figures = summarise(rows, len(manifest.scenarios), times)
-    comparison = None
+    times = {arm: pooled_cycle_ms(folder, rows, arm) for arm in manifest.config.arms}
+    return _summary(manifest, rows, summarise(rows, len(manifest.scenarios), times))
+
+
+def summarise_rows(folder: RunFolder, manifest: RunManifest, rows: Sequence[Score]) -> Summary:
+    """Summarises a run again of which the rows are kept and the episode files are not.
+
+    Args:
+        folder: The run folder.
+        manifest: Its ``run.json``.
+        rows: Its rows, one for each episode.
+
+    Returns:
+        The summary; percentiles of cycle times are those of the ``summary.json`` that is there.
+
+    Raises:
+        FileError: There is no ``summary.json``.
+    """
+    old = read_json(folder.summary)
+    figures = summarise(
+        rows, len(manifest.scenarios), dict.fromkeys(manifest.config.arms, np.empty(0))
+    )
+    for arm, found in figures.items():
+        found |= {
+            metric.key: old[arm.value][metric.key]
+            for metric in metrics.METRICS
+            if metric.aggregate.percentile is not None
+        }
+    return _summary(manifest, rows, figures)
+
+
+def _summary(
+    manifest: RunManifest, rows: Sequence[Score], figures: Mapping[Arm, ArmSummary]
+) -> Summary:
+    config, comparison = manifest.config, None
     if len(figures) == len(Arm):
         a, b = ([row for row in rows if row.arm is arm] for arm in (Arm.WITHOUT_DOS, Arm.WITH_DOS))
         comparison = compare_rows(a, b, Arm.WITHOUT_DOS.value, Arm.WITH_DOS.value)
@@ -180,12 +175,22 @@ def read_summary(folder: RunFolder) -> Summary:
         FileError: It cannot be read or is not the summary of a run.
     """
     try:
-        return typed(read_json(folder.summary), Summary)
+        found = typed(read_json(folder.summary), _content_kind())
     except ValueError as error:
         raise FileError(
             f"{folder.summary} is not a summary.json of this version ({error}); "
             "run the same command again to have it written anew"
         ) from None
+    arms = {
+        arm: None if (figures := getattr(found, arm.value)) is None else asdict(figures)
+        for arm in Arm
+    }
+    return Summary(
+        with_dos=arms[Arm.WITH_DOS],
+        without_dos=arms[Arm.WITHOUT_DOS],
+        run=found.run,
+        comparison=None if found.comparison is None else Comparison.of_content(found.comparison),
+    )
 
 
 def summarise(
@@ -235,27 +240,21 @@ def pooled_cycle_ms(folder: RunFolder, rows: Iterable[Score], arm: Arm) -> Float
 def _summarise_arm(rows: Sequence[Score], n: int, cycle_ms: FloatArray) -> ArmSummary:
     if len(rows) != n:
         raise ValueError(f"{len(rows)} rows for {n} scenarios: every scenario needs its row")
-    outcomes = [row.outcome for row in rows]
-    driven = [row for row in rows if row.steps > 0]
-    times = [r.min_time_to_collision for r in rows if r.min_time_to_collision is not None]
-    p50, p99 = np.percentile(cycle_ms, [50, 99]).tolist() if len(cycle_ms) else (None, None)
-    return ArmSummary(
-        n=n,
-        success_rate=outcomes.count(Outcome.SUCCESS) / n,
-        safe_rate=sum(row.safe for row in rows) / n,
-        collision_rate=outcomes.count(Outcome.COLLISION) / n,
-        at_fault_collision_rate=sum(row.at_fault for row in rows) / n,
-        out_of_bounds_rate=outcomes.count(Outcome.OUT_OF_BOUNDS) / n,
-        goal_missed_rate=outcomes.count(Outcome.GOAL_MISSED) / n,
-        planner_failure_rate=outcomes.count(Outcome.PLANNER_FAILURE) / n,
-        comfortable_rate=_mean([row.comfortable for row in driven]),
-        velocity=_mean([row.velocity for row in driven]),
-        progress=_mean([row.progress for row in driven]),
-        min_time_to_collision=_mean(times),
-        cycle_ms_p50=p50,
-        cycle_ms_p99=p99,
+    figures: ArmSummary = {"n": n}
+    return figures | {m.key: m.summarise(rows, cycle_ms) for m in metrics.METRICS}
+
+
+def _content_kind() -> type[Any]:
+    """A dataclass of the keys of ``summary.json``; a metric may be absent in an older file."""
+    figures = make_dataclass(
+        "ArmSummary",
+        [("n", int), *((m.key, float | None, field(default=None)) for m in metrics.METRICS)],
     )
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None
+    return make_dataclass(
+        "SummaryContent",
+        [
+            ("run", RunTitle),
+            *((arm.value, figures | None, field(default=None)) for arm in Arm),
+            ("comparison", Comparison.content_kind() | None, field(default=None)),
+        ],
+    )

@@ -17,9 +17,9 @@ from typing import Any, Final
 
 from dosplan.api import OraclePredictor
 from dosplan.plugins.registry import find_planner, find_predictor, source_files
-from dosplan.report.tables import summary_markdown
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, read_manifest, write_manifest
+from dosplan.results.markdown import summary_markdown
 from dosplan.results.rows import append_row, read_rows, write_rows
 from dosplan.results.solutions import write_solutions
 from dosplan.results.summary import summarise_run, write_summary

@@ -42,7 +42,6 @@ is to blame for none.
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Final
 
 import numpy as np
@@ -53,7 +52,7 @@ from dosplan.scoring.bounds import outside
 from dosplan.scoring.collision import first_contacts, overlap_window
 from dosplan.scoring.comfort import comfort
 from dosplan.scoring.fault import BEHIND_ANGLE, STOPPED_VELOCITY, at_fault, classify
-from dosplan.scoring.solver import telemetry
+from dosplan.scoring.metrics import ScoredPart, measured, measured_kinds
 from dosplan.types import (
     EGO_HEADING,
     EGO_VELOCITY,
@@ -130,6 +129,7 @@ def score(scenario: Scenario, episode: Episode) -> Score:
 
     felt = comfort(states, scenario.dt)
     cycles = np.flatnonzero(episode.cycle_steps < start + driven)
+    part = ScoredPart(scenario, episode, states, ego, cycles)
     median, slowest = _cycle_times(episode, cycles)
     return Score(
         scenario=episode.scenario_id,
@@ -154,8 +154,8 @@ def score(scenario: Scenario, episode: Episode) -> Score:
         cycle_ms_p99=slowest,
         fallback_cycles=sum(episode.plans[i].report.fallback is not None for i in cycles),
         error=episode.error if outcome is Outcome.PLANNER_FAILURE else None,
-        **asdict(telemetry([episode.plans[i].report for i in cycles])),
         traffic=episode.traffic,
+        measures=measured(part),
     )
 
 
@@ -174,25 +174,8 @@ def failed_score(scenario_id: str, arm: Arm, error: str) -> Score:
         scenario=scenario_id,
         arm=arm,
         outcome=Outcome.PLANNER_FAILURE,
-        safe=False,
-        at_fault=False,
-        collision_class=None,
-        collision_with=None,
-        collision_step=None,
-        out_of_bounds_step=None,
-        goal_step=None,
-        velocity=0.0,
-        progress=0.0,
-        steps=0,
-        comfortable=True,
-        max_abs_acceleration=0.0,
-        max_abs_lateral_acceleration=0.0,
-        max_abs_jerk=0.0,
-        min_time_to_collision=None,
-        cycle_ms_p50=None,
-        cycle_ms_p99=None,
-        fallback_cycles=0,
         error=error,
+        measures=dict.fromkeys(measured_kinds()),
     )
 
 

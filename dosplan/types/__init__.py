@@ -51,8 +51,9 @@ from dosplan.types.scenario import (
     Route,
     Scenario,
     Tracks,
+    place_of,
 )
-from dosplan.types.score import CollisionClass, Outcome, Score
+from dosplan.types.score import CollisionClass, Measure, Outcome, Score
 
 __all__ = [
     "EGO_HEADING",
@@ -77,6 +78,7 @@ __all__ = [
     "GoalState",
     "IntArray",
     "Lanelet",
+    "Measure",
     "Observation",
     "Occupancy",
     "Outcome",
@@ -91,4 +93,5 @@ __all__ = [
     "SolveReport",
     "SolveStatus",
     "Tracks",
+    "place_of",
 ]

@@ -260,3 +260,16 @@ class Scenario:
     tracks: Tracks
     task: PlanningTask
     tags: frozenset[str] = frozenset()
+
+
+def place_of(scenario_id: str) -> str:
+    """Names the place that a scenario is of, as its id tells.
+
+    Args:
+        scenario_id: Id, such as ``USA_Lanker-2_25_T-1``.
+
+    Returns:
+        Country and map name, such as ``USA_Lanker``: what stands before the first hyphen, without
+        the ``C-`` of a cooperative scenario.
+    """
+    return scenario_id.removeprefix("C-").partition("-")[0]

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
+from typing import Any
 
 from dosplan.types.episode import Arm
+
+Measure = float | int | bool | None
+"""Value of a metric in one episode; None where the episode has none."""
 
 
 class Outcome(StrEnum):
@@ -32,6 +37,8 @@ class CollisionClass(StrEnum):
 class Score:
     """Outcome and metrics of one episode: the columns of a row of ``scenarios.jsonl``.
 
+    The defaults are those of an episode that never drove a step.
+
     Attributes:
         scenario: Id of the scenario.
         arm: The arm.
@@ -56,47 +63,38 @@ class Score:
         cycle_ms_p99: 99th percentile of it, ms.
         fallback_cycles: Cycles in which a fallback was driven.
         error: What went wrong in a planner failure, or None.
-
-    The solver's columns are None where no cycle ran, and in rows of versions without them:
-
-        iterations_p50: Median of the solver's iterations in a cycle.
-        iterations_max: The most of them in a cycle.
-        max_slack: Largest slack of a set constraint, in normalised set distance.
-        slack_cycles: Cycles whose plan enters a set (``dosplan.scoring.solver.SLACK_SEEN``).
-        max_road_slack: How far a plan leaves the road at most, m.
-        solver_failures: Cycles in which the solver gave no plan.
-
-    And, ``replay`` in rows of versions without it:
-
-        traffic: Name of the traffic.
+        traffic: Name of the traffic; ``replay`` in rows of versions without it.
+        measures: Values of the metrics that are measured on the episode, by name
+            (``dosplan.scoring.metrics``); None too where a row of an earlier version lacks one.
     """
 
     scenario: str
     arm: Arm
     outcome: Outcome
-    safe: bool
-    at_fault: bool
-    collision_class: CollisionClass | None
-    collision_with: int | None
-    collision_step: int | None
-    out_of_bounds_step: int | None
-    goal_step: int | None
-    velocity: float
-    progress: float
-    steps: int
-    comfortable: bool
-    max_abs_acceleration: float
-    max_abs_lateral_acceleration: float
-    max_abs_jerk: float
-    min_time_to_collision: float | None
-    cycle_ms_p50: float | None
-    cycle_ms_p99: float | None
-    fallback_cycles: int
-    error: str | None
-    iterations_p50: float | None = None
-    iterations_max: int | None = None
-    max_slack: float | None = None
-    slack_cycles: int | None = None
-    max_road_slack: float | None = None
-    solver_failures: int | None = None
+    safe: bool = False
+    at_fault: bool = False
+    collision_class: CollisionClass | None = None
+    collision_with: int | None = None
+    collision_step: int | None = None
+    out_of_bounds_step: int | None = None
+    goal_step: int | None = None
+    velocity: float = 0.0
+    progress: float = 0.0
+    steps: int = 0
+    comfortable: bool = True
+    max_abs_acceleration: float = 0.0
+    max_abs_lateral_acceleration: float = 0.0
+    max_abs_jerk: float = 0.0
+    min_time_to_collision: float | None = None
+    cycle_ms_p50: float | None = None
+    cycle_ms_p99: float | None = None
+    fallback_cycles: int = 0
+    error: str | None = None
     traffic: str = "replay"
+    measures: Mapping[str, Measure] = field(default_factory=dict)
+
+    def columns(self) -> dict[str, Any]:
+        """The row as it is written: its fields, with ``measures`` flattened into it."""
+        own = {column.name: getattr(self, column.name) for column in fields(self)}
+        del own["measures"]
+        return {**own, **self.measures}

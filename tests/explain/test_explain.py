@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
-from hypothesis import strategies as st
 
 from dosplan.api import Planner, Predictor
 from dosplan.cli.main import BAD_INPUT, OK, main
@@ -30,8 +28,8 @@ from dosplan.scenario.synthetic import (
     steady_tracks,
     straight_scenario,
 )
+from dosplan.scoring.metrics import SLACK_SEEN, measured_kinds
 from dosplan.scoring.score import failed_score, score
-from dosplan.scoring.solver import SLACK_SEEN, telemetry
 from dosplan.simulation.loop import run_episode
 from dosplan.simulation.traffic import Replay, Traffic
 from dosplan.system.files import FileError
@@ -453,31 +451,26 @@ def test_telemetry_reaches_the_row_over_the_drive_alone() -> None:
     episode = run_episode(scenario, Coast(reports), Discs(1.0), Arm.WITH_DOS)
     row = score(scenario, episode)
     assert row.steps == 25  # Cycles 0 to 24.
-    assert (row.iterations_p50, row.iterations_max) == (12.0, 24)
-    assert (row.max_slack, row.max_road_slack) == pytest.approx((0.24, 0.024))
-    assert (row.slack_cycles, row.solver_failures, row.fallback_cycles) == (24, 1, 1)
+    assert row.measures == {
+        "iterations_p50": 12.0,
+        "iterations_max": 24,
+        "max_slack": pytest.approx(0.24),
+        "slack_cycles": 24,
+        "max_road_slack": pytest.approx(0.024),
+        "solver_failures": 1,
+    }
+    assert row.fallback_cycles == 1
     row_line(row)  # Figures of numpy would not be JSON.
 
 
-@given(st.lists(st.floats(0.0, 2.0), min_size=1), st.integers(0, 99))
-def test_telemetry_is_of_the_cycles_whatever_their_order(slacks: list[float], seed: int) -> None:
-    reports = [SolveReport(iterations=i, slack=slack) for i, slack in enumerate(slacks)]
-    order = np.random.default_rng(seed).permutation(len(reports))
-    found = telemetry([reports[i] for i in order])
-    assert found == telemetry(reports)
-    assert found.max_slack == max(slacks)
-    assert (found.slack_cycles or 0) <= len(slacks)
-
-
 def test_rows_of_earlier_versions_are_read(tmp_path: Path) -> None:
-    assert failed_score("s", Arm.WITH_DOS, "").max_slack is None
-    row = json.loads(row_line(failed_score("s", Arm.WITH_DOS, "")))
-    new = ("iterations_p50", "iterations_max", "max_slack", "slack_cycles", "max_road_slack")
-    for name in (*new, "solver_failures"):
-        del row[name]
+    failed = failed_score("s", Arm.WITH_DOS, "")
+    row = json.loads(row_line(failed))
+    for name in measured_kinds():
+        assert row.pop(name) is None
     path = tmp_path / "scenarios.jsonl"
     path.write_text(json.dumps(row) + "\n")
-    assert read_rows(path) == [failed_score("s", Arm.WITH_DOS, "")]
+    assert read_rows(path) == [failed]
 
 
 def test_what_the_solver_said_survives_the_episode_file(tmp_path: Path) -> None:

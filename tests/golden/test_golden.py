@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,7 @@ CASES = [case for path in SCENES for case in read_cases(path)]
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_scene_scores_as_expected(case: Case) -> None:
-    row = asdict(score(case.scenario, case.episode))
+    row = score(case.scenario, case.episode).columns()
     expected = {key: None if value == "none" else value for key, value in case.expected.items()}
     have = {key: row[key] for key in expected}
     assert have == pytest.approx(expected)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +88,7 @@ def test_a_run_is_that_of_the_command(
     assert results.manifest.config.cache
     opened = dosplan.open_run(results.path)
     assert opened == results
-    assert opened.summary.arms[Arm.WITH_DOS].n == 2
+    assert opened.summary.arms[Arm.WITH_DOS]["n"] == 2
 
 
 def test_settings_are_those_of_a_run(
@@ -119,7 +119,7 @@ def test_runs_are_compared_however_they_are_given(
     scenes: Path, results: Results, tmp_path: Path
 ) -> None:
     (arms,) = dosplan.compare(results)
-    assert (arms.n, arms.success.difference) == (2, 0.0)
+    assert (arms.n, arms.differences["success"].difference) == (2, 0.0)
     slow = dosplan.run_suite(
         scenes,
         f"{PLANNERS}:CoastPlanner",
@@ -152,7 +152,7 @@ def test_a_class_of_a_console_cannot_reach_a_worker(monkeypatch: pytest.MonkeyPa
 
 
 def expected(rows: tuple[Score, ...]) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = json.loads(json.dumps([asdict(row) for row in rows]))
+    found: list[dict[str, Any]] = json.loads(json.dumps([row.columns() for row in rows]))
     return found
 
 

@@ -26,8 +26,8 @@ from dosplan.report.film.framing import frame_scene
 from dosplan.report.film.layers import SET_COLOURS
 from dosplan.report.film.panel import USER_COLOURS
 from dosplan.report.film.scene import ARM_COLOURS
-from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results.folder import RunFolder
+from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results.recording import load_recording, pack_recording
 from dosplan.scenario.synthetic import growing_sets, steady_tracks, straight_scenario
 from dosplan.scoring.score import score

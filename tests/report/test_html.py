@@ -27,7 +27,7 @@ from dosplan.report.html.episode import Drive, encode_episode
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.html.scenarios import families
 from dosplan.report.html.write import write_report
-from dosplan.report.tables import ARMS_SIDE_BY_SIDE
+from dosplan.results.markdown import ARMS_SIDE_BY_SIDE
 from dosplan.results.recording import Recording, load_recording, pack_recording
 from dosplan.results.rows import row_line
 from dosplan.scenario.synthetic import steady_tracks

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -198,7 +198,7 @@ def test_the_summary_counts_every_row() -> None:
     ]
     times = np.arange(101.0)  # Percentiles of 0..100 are themselves.
     summary = summarise(rows, 8, {Arm.WITH_DOS: times})[Arm.WITH_DOS]
-    assert asdict(summary) == {
+    assert {
         "n": 8,
         "success_rate": 0.25,
         "safe_rate": 0.375,  # 2 successes, 1 missed goal.
@@ -213,15 +213,15 @@ def test_the_summary_counts_every_row() -> None:
         "velocity": 6.0,  # 42 / 7: a standing ego counts, one that never drove does not.
         "cycle_ms_p50": 50.0,
         "cycle_ms_p99": 99.0,
-    }
+    }.items() <= summary.items()
 
 
 def test_outcome_rates_add_up_to_one() -> None:
     rows = [_row(outcome) for outcome in Outcome for _ in range(3)]
     summary = summarise(rows, 15, {Arm.WITH_DOS: np.empty(0)})[Arm.WITH_DOS]
     shares = ("success", "collision", "out_of_bounds", "goal_missed", "planner_failure")
-    assert sum(getattr(summary, f"{name}_rate") for name in shares) == pytest.approx(1.0)
-    assert summary.cycle_ms_p50 is None
+    assert sum(summary[f"{name}_rate"] or 0.0 for name in shares) == pytest.approx(1.0)
+    assert summary["cycle_ms_p50"] is None
 
 
 @pytest.mark.parametrize("n", [1, 3])

@@ -29,8 +29,8 @@ def test_a_published_run_opens_and_is_written_back_as_it_was(name: str, tmp_path
     summary = read_summary(published)
     for arm, figures in summary.arms.items():
         mine = [row for row in rows if row.arm is arm]
-        assert figures.n == len(mine) == 150
-        assert figures.success_rate == sum(r.outcome is Outcome.SUCCESS for r in mine) / 150
+        assert figures["n"] == len(mine) == 150
+        assert figures["success_rate"] == sum(r.outcome is Outcome.SUCCESS for r in mine) / 150
     assert summary.comparison is not None
     a, b = ([row for row in rows if row.arm is arm] for arm in (Arm.WITHOUT_DOS, Arm.WITH_DOS))
     assert summary.comparison == compare_rows(a, b, "without_dos", "with_dos")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -12,23 +12,16 @@ from matplotlib.figure import Figure
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
 from dosplan.report.film.scene import ARM_COLOURS
-from dosplan.report.tables import ARM_TITLES
 from dosplan.results.intervals import Interval, mean_interval, share_interval
+from dosplan.results.markdown import ARM_TITLES
+from dosplan.scoring.metrics import find_metric
 from dosplan.system.files import FileError
-from dosplan.types import Arm, Outcome, Score
+from dosplan.types import Arm, Score
 
 RUNS: Final = {"suite": "embedded suite", "recorded": "recorded scenarios"}
-Verdict = Callable[[Score], bool]
-GOOD: Final[dict[str, Verdict]] = {
-    "success": lambda row: row.outcome is Outcome.SUCCESS,
-    "safe": lambda row: row.safe,
-}
-BAD: Final[dict[str, Verdict]] = {
-    "collision": lambda row: row.outcome is Outcome.COLLISION,
-    "at-fault collision": lambda row: row.at_fault,
-    "out of bounds": lambda row: row.outcome is Outcome.OUT_OF_BOUNDS,
-    "goal missed": lambda row: row.outcome is Outcome.GOAL_MISSED,
-}
+GOOD: Final = ("success", "safe")
+BAD: Final = ("collision", "at_fault_collision", "out_of_bounds", "goal_missed")
+"""Names of the shares that are drawn."""
 _APART: Final = 0.24  # Between the arms.
 
 
@@ -68,15 +61,14 @@ def draw(published: Published) -> Figure:
     return figure
 
 
-def _shares(axes: Axes, arms: dict[Arm, list[Score]], verdicts: dict[str, Verdict]) -> None:
-    found = {
-        arm: [
-            Interval(*(100.0 * x for x in share_interval(sum(map(holds, rows)), len(rows))))
-            for holds in verdicts.values()
-        ]
-        for arm, rows in arms.items()
-    }
-    _intervals(axes, found, list(verdicts))
+def _shares(axes: Axes, arms: dict[Arm, list[Score]], names: Sequence[str]) -> None:
+    shown = [find_metric(name) for name in names]
+    found = {}
+    for arm, rows in arms.items():
+        values = [metric.values(rows) for metric in shown]
+        shares = [share_interval(int(one.sum()), len(one)) for one in values]
+        found[arm] = [Interval(*(100.0 * end for end in share)) for share in shares]
+    _intervals(axes, found, [metric.short.lower() for metric in shown])
 
 
 def _intervals(axes: Axes, found: dict[Arm, list[Interval]], names: Sequence[str]) -> None:

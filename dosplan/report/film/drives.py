@@ -15,8 +15,8 @@ from dosplan.explain.drive import Drive
 from dosplan.geometry import rectangle_corners
 from dosplan.plugins.registry import create_planner, create_predictor
 from dosplan.report.film.scene import ARM_COLOURS, EGO_COLOUR
-from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results.lookup import find_recorded
+from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results.recording import load_recording, pack_recording
 from dosplan.scenario import ScenarioRef, load_scenario
 from dosplan.scoring.collision import shape_at

@@ -1,7 +1,7 @@
 """The tables of a page: headline with intervals, outcome by group, coverage beside collisions.
 
 The interval of a share is Wilson's, that of a mean a percentile bootstrap over scenarios; intervals
-and tests of differences are those of ``dosplan.results.comparison``. All are at 95 %.
+and tests of differences are those of ``dosplan.results.paired``. All are at 95 %.
 """
 
 from __future__ import annotations
@@ -15,74 +15,44 @@ import numpy as np
 from dosplan.report.html.cases import OUTCOME_WORDS, Case
 from dosplan.report.html.coverage import Coverage, total
 from dosplan.report.html.sides import Pairing, Side
-from dosplan.results.comparison import Difference
 from dosplan.results.intervals import mean_interval, share_interval
+from dosplan.results.markdown import interval_text
+from dosplan.results.paired import Difference
+from dosplan.scoring import metrics
+from dosplan.scoring.metrics import Aggregate, Metric, find_metric
 from dosplan.types import STEP_SECONDS, FloatArray, Outcome, Score
 
 _LOOK_AHEAD: Final = (1.0, 2.0, 3.0)  # s; where coverage is given beside collisions.
 _SIGNIFICANT: Final = 0.05
 
-_SHARES: Final[Sequence[tuple[str, str | None, Callable[[Score], bool]]]] = (
-    ("Success", "success", lambda row: row.outcome is Outcome.SUCCESS),
-    ("Safe (the paper's success)", "safe", lambda row: row.safe),
-    ("Collision", "collision", lambda row: row.outcome is Outcome.COLLISION),
-    ("At-fault collision", "at_fault_collision", lambda row: row.at_fault),
-    ("Out of bounds", None, lambda row: row.outcome is Outcome.OUT_OF_BOUNDS),
-    ("Goal missed", None, lambda row: row.outcome is Outcome.GOAL_MISSED),
-    ("Planner failure", None, lambda row: row.outcome is Outcome.PLANNER_FAILURE),
-)
-"""Title, field of ``Comparison`` or None, verdict."""
 
-
-def headline(pairing: Pairing) -> list[dict[str, Any]]:
-    """Lays out the main figures.
+def headline(pairing: Pairing, cases: Sequence[Case]) -> list[dict[str, Any]]:
+    """Lays the metrics out.
 
     Args:
         pairing: What is set beside what.
+        cases: Its cases; percentiles of cycle times are of those that were read.
 
     Returns:
-        Rows of ``title``, ``sides`` (a value and its interval each) and ``difference`` (cells,
-        empty where none is tested).
+        Rows of ``title``, ``sides`` (a value and its interval each) and ``difference``
+        (cells, empty where there is none). A metric without a value on any side is left out.
     """
-    rows = [
-        {
-            "title": title + ", %",
-            "sides": [_share(side.rows.values(), holds) for side in pairing.sides],
-            "difference": _difference(_field(pairing, field), 100.0, ".1f"),
-        }
-        for title, field, holds in _SHARES
-    ]
-    rows.append(
-        {
-            "title": "Velocity, m/s",
-            "sides": [_velocity(side.rows.values()) for side in pairing.sides],
-            "difference": _difference(_field(pairing, "velocity"), 1.0, ".2f"),
-        }
-    )
-    rows.append(
-        {
-            "title": "Comfortable (nuPlan's bounds), %",
-            "sides": [
-                _share([r for r in side.rows.values() if r.steps], lambda row: row.comfortable)
-                for side in pairing.sides
-            ],
-            "difference": [],
-        }
-    )
+    cycles = [pooled_cycle_ms(cases, side) for side in range(len(pairing.sides))]
+    rows = []
+    for metric in metrics.METRICS:
+        sides = [
+            _figure(metric, tuple(side.rows.values()), times)
+            for side, times in zip(pairing.sides, cycles, strict=True)
+        ]
+        if any(cell["value"] != "-" for cell in sides):
+            rows.append(
+                {
+                    "title": metric.long_heading,
+                    "sides": sides,
+                    "difference": _difference(metric, pairing),
+                }
+            )
     return rows
-
-
-def cycle_row(cases: Sequence[Case], sides: int) -> list[dict[str, str]]:
-    """Median and 99th percentile of the cycle time of each side, where it is known."""
-    cells = []
-    for side in range(sides):
-        times = pooled_cycle_ms(cases, side)
-        if len(times):
-            p50, p99 = np.percentile(times, [50.0, 99.0])
-            cells.append({"value": f"{p50:.0f}", "interval": f"p99 {p99:.0f}"})
-        else:
-            cells.append({"value": "-", "interval": ""})
-    return cells
 
 
 def pooled_cycle_ms(cases: Iterable[Case], side: int) -> FloatArray:
@@ -110,7 +80,7 @@ def answer(pairing: Pairing) -> str:
     last, reached = pairing.sides[-1], [_succeeded(side) for side in pairing.sides]
     if pairing.comparison is None:
         return f"Success {_name(last.name)} in {reached[-1]} of {len(last.rows)} scenarios."
-    success = pairing.comparison.success
+    success = pairing.comparison.differences["success"]
     found = "No clear difference"
     if _beyond_chance(success):
         found = f"{'Better' if success.difference > 0.0 else 'Worse'} {_name(last.name)}"
@@ -131,12 +101,11 @@ def grounds(pairing: Pairing) -> list[str]:
     """
     told = []
     if pairing.comparison is not None:
-        success = pairing.comparison.success
+        metric, success = find_metric("success"), pairing.comparison.differences["success"]
         verdict = "more than chance brings about" if _beyond_chance(success) else "may be chance"
         told.append(
-            f"The difference in success is {100.0 * success.difference:+.1f} points (95 % interval "
-            f"{100.0 * success.low:+.1f} to {100.0 * success.high:+.1f}; McNemar p = "
-            f"{success.p:.2g}): {verdict}."
+            f"The difference in success is {metric.shown(success.difference, '+')} points (95 % "
+            f"interval {interval_text(metric, success)}; McNemar p = {success.p:.2g}): {verdict}."
         )
     return told + [f"Failed {_name(side.name)}: {_failures(side)}." for side in pairing.sides[::-1]]
 
@@ -278,35 +247,31 @@ def _covered(coverage: Iterable[Coverage], seconds: float) -> str:
     return f"{100.0 * found.inside / found.counted:.1f}"
 
 
-def _field(pairing: Pairing, field: str | None) -> Difference | None:
-    if pairing.comparison is None or field is None:
-        return None
-    found: Difference | None = getattr(pairing.comparison, field)
-    return found
+def _figure(metric: Metric, rows: Sequence[Score], cycle_ms: FloatArray) -> dict[str, str]:
+    """A metric on one side: its figure, and the 95 % interval of a share or a mean."""
+    figure = metric.summarise(rows, cycle_ms)
+    interval = None
+    if figure is not None and metric.aggregate is Aggregate.SHARE:
+        values = metric.values(rows)
+        interval = share_interval(int(values.sum()), len(values))
+    elif figure is not None and metric.aggregate is Aggregate.MEAN:
+        interval = mean_interval(metric.values(rows))
+    return {
+        "value": metric.shown(figure),
+        "interval": ""
+        if interval is None
+        else f"{metric.shown(interval.low)} to {metric.shown(interval.high)}",
+    }
 
 
-def _share(rows: Iterable[Score], holds: Callable[[Score], bool]) -> dict[str, str]:
-    held = [holds(row) for row in rows]
-    if not held:
-        return {"value": "-", "interval": ""}
-    value, low, high = (100.0 * share for share in share_interval(sum(held), len(held)))
-    return {"value": f"{value:.1f}", "interval": f"{low:.1f} to {high:.1f}"}
-
-
-def _velocity(rows: Iterable[Score]) -> dict[str, str]:
-    values = np.array([row.velocity for row in rows if row.steps])
-    if not len(values):
-        return {"value": "-", "interval": ""}
-    mean, low, high = mean_interval(values)
-    return {"value": f"{mean:.2f}", "interval": f"{low:.2f} to {high:.2f}"}
-
-
-def _difference(figure: Difference | None, scale: float, form: str) -> list[str]:
-    if figure is None:
+def _difference(metric: Metric, pairing: Pairing) -> list[str]:
+    """Cells of what the sides differ by; none for one side, or where nothing is compared."""
+    if pairing.comparison is None or metric.name not in pairing.comparison.differences:
         return []
+    figure = pairing.comparison.differences[metric.name]
     return [
-        f"{scale * figure.difference:+{form}}",
-        f"{scale * figure.low:+{form}} to {scale * figure.high:+{form}}",
+        metric.shown(figure.difference, "+"),
+        interval_text(metric, figure),
         "" if figure.only_a is None else str(figure.only_a),
         "" if figure.only_b is None else str(figure.only_b),
         "" if figure.p is None else f"{figure.p:.2g}",

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from hashlib import sha256
 from importlib.resources import files
@@ -30,12 +30,9 @@ from dosplan.report.html.episode import KINDS
 from dosplan.report.html.figures import coverage_plot, histogram
 from dosplan.report.html.sides import Pairing
 from dosplan.report.html.thumbnails import HEIGHT, WIDTH
-from dosplan.scoring.comfort import (
-    MAX_LATERAL_ACCELERATION,
-    MAX_LONGITUDINAL_JERK,
-    MIN_ACCELERATION,
-)
-from dosplan.types import FloatArray, Score
+from dosplan.scoring import metrics
+from dosplan.scoring.metrics import Metric
+from dosplan.types import FloatArray, place_of
 
 MOST_BYTES: Final = 4_900_000
 """A page is no larger; episodes for which there is no room are listed, but not played."""
@@ -103,8 +100,8 @@ def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
         "answer": findings.answer(pairing),
         "grounds": findings.grounds(pairing),
         "shortcuts": findings.shortcuts(cases, names),
-        "headline": findings.headline(pairing),
-        "cycles": findings.cycle_row(cases, len(names)),
+        "places": len({place_of(case.scenario) for case in cases}),
+        "headline": findings.headline(pairing, cases),
         "groups": group_tables(cases, len(names)),
         "coverage": [
             (names[side], rows) for side in sides if (rows := findings.coverage_rows(cases, side))
@@ -135,36 +132,19 @@ def group_tables(cases: Sequence[Case], sides: int) -> list[tuple[str, list[dict
 def _plots(pairing: Pairing, cases: Sequence[Case]) -> list[tuple[str, Markup]]:
     names = [side.name for side in pairing.sides]
 
-    def column(name: str) -> dict[str, FloatArray]:
-        return {side.name: _values(side.rows.values(), name) for side in pairing.sides}
-
     cycles = {name: findings.pooled_cycle_ms(cases, side) for side, name in enumerate(names)}
     drawn = [
-        ("Mean velocity", histogram(column("velocity"), "m/s")),
-        (
-            "Largest longitudinal acceleration",
-            histogram(column("max_abs_acceleration"), "m/s²", bounds=[-MIN_ACCELERATION]),
-        ),
-        (
-            "Largest lateral acceleration",
-            histogram(
-                column("max_abs_lateral_acceleration"), "m/s²", bounds=[MAX_LATERAL_ACCELERATION]
-            ),
-        ),
-        (
-            "Largest longitudinal jerk",
-            histogram(column("max_abs_jerk"), "m/s³", bounds=[MAX_LONGITUDINAL_JERK]),
-        ),
+        (metric.title, histogram(_values(metric, pairing), metric.unit, bounds=metric.bounds))
+        for metric in metrics.METRICS
+        if metric.plotted
     ]
     if any(len(times) for times in cycles.values()):
         drawn.append(("Cycle time, predict and plan", histogram(cycles, "ms", log=True)))
     return [(title, Markup(svg)) for title, svg in drawn]  # noqa: S704 - drawn by matplotlib
 
 
-def _values(rows: Iterable[Score], column: str) -> FloatArray:
-    import numpy as np
-
-    return np.array([getattr(row, column) for row in rows if row.steps], dtype=np.float64)
+def _values(metric: Metric, pairing: Pairing) -> dict[str, FloatArray]:
+    return {side.name: metric.values(tuple(side.rows.values())) for side in pairing.sides}
 
 
 def _notes(examined: Sequence[tuple[Pairing, Sequence[Case]]]) -> list[str]:

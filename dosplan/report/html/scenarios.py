@@ -14,7 +14,7 @@ import numpy as np
 from dosplan.results.recording import Recording
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
 from dosplan.scenario.sources.catalogue import SUITE
-from dosplan.types import Scenario
+from dosplan.types import Scenario, place_of
 
 ROAD_TAGS: Final = (
     "roundabout",
@@ -126,16 +126,12 @@ def families(scenarios: Sequence[str]) -> dict[str, str]:
         For each id its place (``USA_Lanker``), or its country (``USA``) where the place has fewer
         than ``SMALLEST_FAMILY`` scenarios.
     """
-    places = {scenario: _place(scenario) for scenario in scenarios}
+    places = {scenario: place_of(scenario) for scenario in scenarios}
     sizes = Counter(places.values())
     return {
         scenario: place if sizes[place] >= SMALLEST_FAMILY else place.partition("_")[0]
         for scenario, place in places.items()
     }
-
-
-def _place(scenario: str) -> str:
-    return scenario.removeprefix("C-").partition("-")[0]
 
 
 def _suite_road_kinds(folder: Path) -> dict[str, str]:

@@ -11,10 +11,10 @@ from urllib.parse import quote
 from dosplan.report.html.page import build_page
 from dosplan.report.html.scenarios import find_scenes
 from dosplan.report.html.sides import Pairing, Side
-from dosplan.report.tables import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results.comparison import compare_rows, paired_sides
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, read_manifest
+from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results.rows import read_run
 from dosplan.system.files import write_text
 from dosplan.types import Arm

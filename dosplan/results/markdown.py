@@ -1,0 +1,137 @@
+"""Tables of figures as text: what the terminal and Markdown show of a summary."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from dosplan.results.paired import Difference
+from dosplan.results.summary import Summary
+from dosplan.scoring import metrics
+from dosplan.scoring.metrics import Group, Metric, find_metric
+from dosplan.types import Arm
+
+ARM_TITLES: Final = {Arm.WITH_DOS: "with DOS", Arm.WITHOUT_DOS: "without DOS"}
+ARMS_SIDE_BY_SIDE: Final = (Arm.WITHOUT_DOS, Arm.WITH_DOS)
+"""The arms from left to right, as they are compared: with minus without."""
+
+Cells = tuple[list[str], list[list[str]]]
+"""Headings, and rows of cells."""
+
+
+def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True) -> str:
+    """Writes a table as Markdown, its first column to the left.
+
+    Args:
+        headings: Column headings.
+        rows: Cells.
+        numbers: Whether the other columns hold numbers and go to the right.
+
+    Returns:
+        The table's lines.
+    """
+    rule = ["---", *["---:" if numbers else "---"] * (len(headings) - 1)]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (headings, rule, *rows))
+
+
+def summary_markdown(summary: Summary) -> str:
+    """Writes a summary as Markdown.
+
+    Args:
+        summary: The summary of a run.
+
+    Returns:
+        The text of ``summary.md``.
+    """
+    blocks = [f"# {summary_title(summary)}"]
+    blocks += [markdown(*cells) for cells in summary_cells(summary)]
+    blocks += difference_lines(summary)
+    return "\n\n".join(blocks) + "\n"
+
+
+def summary_cells(summary: Summary) -> list[Cells]:
+    """Lays the figures of a summary out in tables, one for each group of metrics.
+
+    Args:
+        summary: The summary of a run.
+
+    Returns:
+        The tables, each with a row for each arm that ran; that of the solver only where a figure is
+        not zero, as planners without a solver have none.
+    """
+    arms = {ARM_TITLES[arm]: figures for arm, figures in summary.arms.items()}
+    tables = []
+    for group in Group:
+        columns = [metric for metric in metrics.METRICS if metric.group is group]
+        found = [figures.get(metric.key) for metric in columns for figures in arms.values()]
+        if not columns or (group is Group.SOLVER and not any(found)):
+            continue
+        last = ["n"] if group is Group.MAIN else []
+        headings = ["Arm", *(metric.heading for metric in columns), *last]
+        rows = [
+            [
+                title,
+                *(metric.shown(figures.get(metric.key)) for metric in columns),
+                *(str(figures[key]) for key in last),
+            ]
+            for title, figures in arms.items()
+        ]
+        tables.append((headings, rows))
+    return tables
+
+
+def summary_title(summary: Summary) -> str:
+    """Says in a line what was run.
+
+    Args:
+        summary: The summary of a run.
+
+    Returns:
+        Planner, predictor, scenarios and settings.
+    """
+    run = summary.run
+    mark = "" if run.ranked else " (unranked: the predictor may see the future)"
+    options = (
+        f"{plugin}.{name}={value}"
+        for plugin, chosen in (
+            ("planner", run.planner_options),
+            ("predictor", run.predictor_options),
+        )
+        for name, value in chosen.items()
+    )
+    told = ", ".join([f"seed {run.seed}", *options])
+    return f"{run.planner} with {run.predictor} on {run.source}, {told}{mark}"
+
+
+def difference_lines(summary: Summary) -> list[str]:
+    """Says what the arms differ by.
+
+    Args:
+        summary: The summary of a run.
+
+    Returns:
+        A line on success, or none where one arm ran.
+    """
+    if summary.comparison is None:
+        return []
+    metric, success = find_metric("success"), summary.comparison.differences["success"]
+    return [
+        f"Success, with DOS minus without: {metric.shown(success.difference, '+')} points "
+        f"(95 % interval {interval_text(metric, success)}; McNemar p = {success.p:.3g}, "
+        f"n = {summary.comparison.n}, places = {summary.comparison.places})"
+    ]
+
+
+def interval_text(metric: Metric, figure: Difference) -> str:
+    """Writes the interval of a difference.
+
+    Args:
+        metric: The metric.
+        figure: Its difference.
+
+    Returns:
+        Both ends, or ``-`` where there is no interval.
+    """
+    if figure.low is None:
+        return "-"
+    return f"{metric.shown(figure.low, '+')} to {metric.shown(figure.high, '+')}"

@@ -29,7 +29,7 @@ from typing import Any, Final
 from unittest.mock import patch
 
 import numpy as np
-from dosplan_dos.predictor import DEFAULT_SETS, SETS, DosPredictor, shipped_sets
+from dosplan_dos.predictor import DEFAULT_SETS, SETS, DosPredictor, DosSettings, shipped_sets
 from dosplan_mpc.compiled import CompileError, is_whole
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.nlp import Guess, MpcProblem, problems
@@ -242,7 +242,10 @@ def measure_engines(network: Path, sets: Path) -> dict[str, dict[str, Figures]]:
         network, sets = Path(copy(network, scratch)), Path(copy(sets, scratch))
         for model, weights in ((MAP, network), (SCENE, network), (SETS, sets)):
             export(model, weights, Path(scratch))
-        engines = {e: DosPredictor(network=network, sets=sets, engine=e) for e in Engine}
+        engines = {
+            e: DosPredictor(settings=DosSettings(network=network, sets=str(sets), engine=e))
+            for e in Engine
+        }
     found: dict[str, dict[str, Figures]] = {}
     for n in PREDICTED:
         scenario = steady_flow(n)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dosplan.api import Planner, Predictor
-from dosplan.plugins.registry import RegistryError, create_planner, create_predictor
+from dosplan.plugins.registry import RegistryError, create_planner, create_predictor, target
 from dosplan.results.comparison import Comparison, compare_runs
 from dosplan.results.dataframes import to_pandas, to_polars
 from dosplan.results.folder import RunFolder
@@ -220,7 +220,7 @@ def _spec(plugin: type[Any] | str) -> str:
     if isinstance(plugin, str):
         return plugin
     if plugin.__module__ != "__main__":
-        return f"{plugin.__module__}:{plugin.__qualname__}"
+        return target(plugin)
     file = getattr(sys.modules["__main__"], "__file__", None)
     if file is None:
         raise RegistryError(

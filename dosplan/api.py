@@ -4,6 +4,10 @@ The public methods ``reset``, ``plan`` and ``predict`` belong to the benchmark: 
 plug-in returns and name the plug-in in every complaint, so that no plug-in can forget to. A class
 that overrides one of them is refused. A plug-in fills ``compute_plan`` or ``compute_occupancy``
 and, where it prepares something per episode, ``prepare``.
+
+The options of a plug-in are the fields of a frozen dataclass, its ``settings``. Every field has a
+default, and ``__post_init__`` raises ``ValueError`` for a value out of range, in a message that
+names the field. A field may be another plug-in, as a ``PluginSpec``.
 """
 
 from __future__ import annotations
@@ -11,8 +15,9 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
@@ -44,29 +49,103 @@ def _refuse_overrides(plugin: type, base: type, instead: Mapping[str, str]) -> N
             )
 
 
+@dataclass(frozen=True)
+class NoSettings:
+    """The settings of a planner that has no options."""
+
+
+@dataclass(frozen=True)
+class PredictorSettings:
+    """What every predictor can be asked for; those of a predictor inherit from it.
+
+    Attributes:
+        horizon: Number T of steps to predict.
+    """
+
+    horizon: int = 40
+
+    def __post_init__(self) -> None:
+        if self.horizon < 1:
+            raise ValueError(f"horizon is {self.horizon}, expected 1 or more")
+
+    def check_reach(self, base: PluginSpec[Predictor], name: str = "base") -> None:
+        """For ``__post_init__``: refuses a predictor within that does not predict as far.
+
+        Args:
+            base: The predictor within.
+            name: The setting that holds it.
+
+        Raises:
+            ValueError: It predicts fewer steps.
+        """
+        if base.settings.horizon < self.horizon:
+            raise ValueError(
+                f"{name} predicts {base.settings.horizon} steps, horizon is {self.horizon}; "
+                f"raise {name}.horizon as well"
+            )
+
+
+PluginT = TypeVar("PluginT", bound="Planner | Predictor")
+
+
+@dataclass(frozen=True)
+class PluginSpec(Generic[PluginT]):
+    """A plug-in that is not built yet; a value of settings, where one plug-in uses another.
+
+    A field of settings declares it as ``base: PluginSpec[Predictor] = PluginSpec(MyPredictor)``.
+    A user then sets a name, ``{predictor: NAME, options: {...}}``, or one of its options as
+    ``base.NAME``.
+
+    Attributes:
+        plugin: Its class.
+        settings: An instance of the class's ``settings``; the defaults where None is given.
+    """
+
+    plugin: type[PluginT]
+    settings: Any = None
+
+    def __post_init__(self) -> None:
+        if self.settings is None:
+            object.__setattr__(self, "settings", self.plugin.settings())
+
+    def build(self, seed: int = 0) -> PluginT:
+        """Makes the plug-in.
+
+        Args:
+            seed: Seed of the run.
+
+        Returns:
+            A new instance.
+        """
+        return self.plugin(seed=seed, settings=self.settings)
+
+
 class Planner(ABC):
     """Drives the ego.
 
     Attributes:
         name: Versioned name that goes into results (``mpc-v3``); a changed behaviour is a new
             version.
-        settings: Dataclass of the options that a user may set; the constructor then takes an
-            instance of it as ``settings``. Where None, options are keyword arguments.
+        settings: The frozen dataclass of its options; the constructor takes an instance of it.
+        look_ahead: Number of predicted steps that it cannot do without; a predictor with a shorter
+            horizon is refused. A planner whose settings decide assigns it in its constructor.
         last_seconds: Wall-clock time of the last ``plan``, s.
     """
 
     name: ClassVar[str]
-    settings: ClassVar[type[Any] | None] = None
+    settings: ClassVar[type[Any]] = NoSettings
+    look_ahead: int = 1
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         _refuse_overrides(cls, Planner, {"reset": "prepare", "plan": "compute_plan"})
 
-    def __init__(self, *, seed: int = 0) -> None:
+    def __init__(self, *, seed: int = 0, settings: Any = NoSettings()) -> None:
         """Keeps the seed; every random choice of a planner must come from it.
 
         Args:
             seed: Seed of the run.
+            settings: The options; a planner that has some keeps what it needs of them.
         """
         self.seed = seed
         self.last_seconds = 0.0
@@ -94,8 +173,14 @@ class Planner(ABC):
             A plan that starts at ``observation.ego``.
 
         Raises:
-            PluginError: The plug-in returned something that is not such a plan.
+            PluginError: The sets do not reach ``look_ahead`` steps ahead, or the plug-in returned
+                something that is not such a plan.
         """
+        if occupancy.horizon < self.look_ahead:
+            raise PluginError(
+                f"planner {self.name}: looks {self.look_ahead} steps ahead, the sets reach "
+                f"{occupancy.horizon}; raise the predictor's horizon"
+            )
         started = time.perf_counter()
         try:
             plan = self.compute_plan(observation, occupancy)
@@ -145,27 +230,28 @@ class Predictor(ABC):
 
     Attributes:
         name: Versioned name that goes into results (``constant-velocity-v1``).
-        settings: Dataclass of the options that a user may set; the constructor then takes an
-            instance of it as ``settings``. Where None, options are keyword arguments.
+        settings: The frozen dataclass of its options, a ``PredictorSettings``; the constructor
+            takes an instance of it.
+        horizon: Number T of steps that it predicts.
         last_seconds: Wall-clock time of the last ``predict``, s.
     """
 
     name: ClassVar[str]
-    settings: ClassVar[type[Any] | None] = None
+    settings: ClassVar[type[PredictorSettings]] = PredictorSettings
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         _refuse_overrides(cls, Predictor, {"reset": "prepare", "predict": "compute_occupancy"})
 
-    def __init__(self, *, seed: int = 0, horizon: int = 40) -> None:
+    def __init__(self, *, seed: int = 0, settings: PredictorSettings = PredictorSettings()) -> None:
         """Keeps the seed and the horizon.
 
         Args:
             seed: Seed of the run.
-            horizon: Number T of steps to predict.
+            settings: The options; a predictor that has more keeps what it needs of them.
         """
         self.seed = seed
-        self.horizon = horizon
+        self.horizon = settings.horizon
         self.last_seconds = 0.0
 
     @final
@@ -213,9 +299,8 @@ class Predictor(ABC):
             )
         return occupancy
 
-    @classmethod
-    def weight_files(cls) -> tuple[Path, ...]:
-        """Names the files of trained numbers that it loads by default.
+    def weight_files(self) -> tuple[Path, ...]:
+        """Names the files of trained numbers that it uses.
 
         Their SHA-256 goes into ``run.json``: a run with other weights is another run.
 

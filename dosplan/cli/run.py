@@ -27,6 +27,7 @@ examples:
   dosplan run my/scenarios --planner mine.py:MyPlanner --with-dos
   dosplan run scenarios.zip --solutions          a CommonRoad solution for each drive, too
   dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
+  dosplan run --predictor dos --set predictor.base=constant-velocity
   dosplan run --predictor ground-truth --unranked
   dosplan run --quiet --json > figures.json      for scripts
   dosplan run --planner mine.py:MyPlanner --limit 1 --in-process    stops at breakpoint()
@@ -163,8 +164,8 @@ def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="PLUGIN.NAME=VALUE",
-        help="an option of a plug-in, such as predictor.coverage=0.9 or planner.NAME=VALUE; "
-        "VALUE as in YAML; may be given again",
+        help="an option of a plug-in, such as predictor.coverage=0.9, predictor.base=net or "
+        "predictor.base.horizon=40; VALUE as in YAML; may be given again",
     )
 
 
@@ -229,7 +230,11 @@ def _setting(text: str) -> Setting:
 
     key, equals, value = text.partition("=")
     plugin, _, name = key.partition(".")
-    if plugin not in ("planner", "predictor") or not name.isidentifier() or not equals:
+    if (
+        plugin not in ("planner", "predictor")
+        or not equals
+        or not all(part.isidentifier() for part in name.split("."))
+    ):
         raise argparse.ArgumentTypeError(
             f"{text!r:.100} is not of the form planner.NAME=VALUE or predictor.NAME=VALUE"
         )

@@ -1,7 +1,6 @@
 """What is evaluated: predictors with their options, from a YAML file or by name.
 
-A file holds a list; ``options`` are keyword arguments of the predictor's constructor, and an
-option that is itself ``{predictor: NAME, options: {...}}`` is built first::
+A file holds a list; ``options`` are those of the predictor, as ``dosplan run --set`` takes them::
 
     - label: circle v1 z=0.7
       predictor: growing-circle
@@ -12,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -37,7 +36,7 @@ class Method:
     Attributes:
         label: That name.
         predictor: The predictor, as ``dosplan.plugins.registry`` finds it.
-        options: Keyword arguments of its constructor: numbers, texts, lists and mappings.
+        options: Its options: numbers, texts, lists and mappings.
     """
 
     label: str
@@ -91,7 +90,7 @@ def build(method: Method, seed: int) -> Predictor:
 
     Args:
         method: The method.
-        seed: Seed of the run, for it and for the predictors among its options.
+        seed: Seed of the run.
 
     Returns:
         The predictor.
@@ -100,8 +99,8 @@ def build(method: Method, seed: int) -> Predictor:
         MethodError: It cannot be built, or does not predict far enough.
     """
     try:
-        predictor = _build(method.predictor, method.options, seed)
-    except (RegistryError, MethodError) as error:
+        predictor = create_predictor(method.predictor, seed, method.options)
+    except RegistryError as error:
         raise MethodError(f"method {method.label!r}: {error}") from error
     if predictor.horizon < STEPS:
         raise MethodError(
@@ -111,22 +110,21 @@ def build(method: Method, seed: int) -> Predictor:
     return predictor
 
 
-def _build(spec: str, options: Mapping[str, Any], seed: int) -> Predictor:
-    built = {name: _option(value, name, seed) for name, value in options.items()}
-    return create_predictor(spec, seed, built)
-
-
-def _option(value: Any, name: str, seed: int) -> Any:
-    if not isinstance(value, Mapping) or "predictor" not in value:
-        return value
-    spec, options = _predictor(value, _KEYS[1:], f"option {name!r}")
-    return _build(spec, options, seed)
-
-
 def _method(entry: Any, where: str) -> Method:
     if not isinstance(entry, Mapping):
         raise MethodError(f"{where} is no mapping of {', '.join(_KEYS)}")
-    spec, options = _predictor(entry, _KEYS, where)
+    for key in entry:
+        if key not in _KEYS:
+            raise MethodError(
+                f"{where} has the unknown key {key!r}{did_you_mean(str(key), _KEYS)} "
+                f"(keys: {', '.join(_KEYS)})"
+            )
+    spec, options = entry.get("predictor"), entry.get("options")
+    if not isinstance(spec, str) or not spec:
+        raise MethodError(f"{where} names no predictor; give one of `dosplan list predictors`")
+    options = {} if options is None else options
+    if not isinstance(options, Mapping) or not all(isinstance(key, str) for key in options):
+        raise MethodError(f"{where}: options is no mapping of names to values")
     label = entry.get("label")
     if not isinstance(label, str) or not label:
         raise MethodError(f"{where} has no label; give it a text")
@@ -137,23 +135,3 @@ def _method(entry: Any, where: str) -> Method:
             f"{where} ({label}): options must be finite numbers, texts, lists and mappings: {error}"
         ) from None
     return Method(label, spec, options)
-
-
-def _predictor(
-    entry: Mapping[Any, Any], keys: Iterable[str], where: str
-) -> tuple[str, Mapping[str, Any]]:
-    """The predictor's name and its options, checked."""
-    keys = tuple(keys)
-    for key in entry:
-        if key not in keys:
-            raise MethodError(
-                f"{where} has the unknown key {key!r}{did_you_mean(str(key), keys)} "
-                f"(keys: {', '.join(keys)})"
-            )
-    spec, options = entry.get("predictor"), entry.get("options")
-    if not isinstance(spec, str) or not spec:
-        raise MethodError(f"{where} names no predictor; give one of `dosplan list predictors`")
-    options = {} if options is None else options
-    if not isinstance(options, Mapping) or not all(isinstance(key, str) for key in options):
-        raise MethodError(f"{where}: options is no mapping of names to values")
-    return spec, options

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dosplan.api import NoPlanError, OraclePredictor, Planner, Predictor
+from dosplan.api import NoPlanError, OraclePredictor, Planner, PluginSpec, PluginT, Predictor
 from dosplan.plugins.short_drives import (
     Trace,
     another_future,
@@ -106,13 +106,13 @@ class Contract:
 
     Attributes:
         plugin: Name of the plug-in.
-        factory: What makes it.
+        made_by: Its class.
         first: Checks up to the first that breaks, for the rest would break alike.
         then: The rest.
     """
 
     plugin: str
-    factory: Callable[..., Any]
+    made_by: type[Any]
     first: tuple[_Rule, ...]
     then: tuple[_Rule, ...]
 
@@ -133,7 +133,7 @@ class Contract:
         except (Exception, SystemExit) as error:
             writes = "read-only" in str(error)
             advice = "copy the array before you write to it" if writes else rule.advice
-            raised = f"raised {one_line(error)} ({failure_place(error, self.factory)})"
+            raised = f"raised {one_line(error)} ({failure_place(error, self.made_by)})"
             return Check(name, False, f"{raised}; {advice}" if advice else raised)
         return Check(name, True)
 
@@ -156,55 +156,54 @@ class Contract:
         return Report(self.plugin, tuple(results))
 
 
-def check_planner(factory: Callable[..., Planner]) -> Report:
+def check_planner(plugin: type[Planner] | PluginSpec[Planner]) -> Report:
     """Checks a planner.
 
     Args:
-        factory: Its class, or anything that takes ``seed`` and returns an instance.
+        plugin: Its class, or that with settings.
 
     Returns:
         The report; nothing is raised for a broken planner.
     """
-    contract = planner_contract(factory)
+    contract = planner_contract(plugin)
     return contract.report(contract.check)
 
 
-def check_predictor(factory: Callable[..., Predictor]) -> Report:
+def check_predictor(plugin: type[Predictor] | PluginSpec[Predictor]) -> Report:
     """Checks a predictor.
 
     Args:
-        factory: Its class, or anything that takes ``seed`` and ``horizon`` and returns an
-            instance.
+        plugin: Its class, or that with settings.
 
     Returns:
         The report; nothing is raised for a broken predictor.
     """
-    contract = predictor_contract(factory)
+    contract = predictor_contract(plugin)
     return contract.report(contract.check)
 
 
-def planner_contract(factory: Callable[..., Planner]) -> Contract:
+def planner_contract(plugin: type[Planner] | PluginSpec[Planner]) -> Contract:
     """Lists what a planner is checked for.
 
     Args:
-        factory: As for ``check_planner``.
+        plugin: As for ``check_planner``.
 
     Returns:
         The checks.
     """
+    made_by = plugin.plugin if isinstance(plugin, PluginSpec) else plugin
 
     def build() -> Planner:
-        planner = factory(seed=SEED)
-        if not isinstance(planner, Planner):
+        if not issubclass(made_by, Planner):
             raise _BrokenError("is no dosplan.api.Planner; inherit from it")
-        return planner
+        return _chosen(plugin).build(SEED)
 
     def drive(scenario: Scenario, **options: Any) -> Trace:
         return drive_planner(build(), scenario, **options)
 
     return Contract(
-        _name(factory),
-        factory,
+        _name(made_by),
+        made_by,
         (
             _Rule("constructs", build),
             _Rule("plans", lambda: drive(busy_scenario())),
@@ -218,28 +217,30 @@ def planner_contract(factory: Callable[..., Planner]) -> Contract:
     )
 
 
-def predictor_contract(factory: Callable[..., Predictor]) -> Contract:
+def predictor_contract(plugin: type[Predictor] | PluginSpec[Predictor]) -> Contract:
     """Lists what a predictor is checked for.
 
     Args:
-        factory: As for ``check_predictor``.
+        plugin: As for ``check_predictor``.
 
     Returns:
         The checks.
     """
+    made_by = plugin.plugin if isinstance(plugin, PluginSpec) else plugin
 
     def build(horizon: int = HORIZON) -> Predictor:
-        predictor = factory(seed=SEED, horizon=horizon)
-        if not isinstance(predictor, Predictor):
+        if not issubclass(made_by, Predictor):
             raise _BrokenError("is no dosplan.api.Predictor; inherit from it")
-        return predictor
+        chosen = _chosen(plugin)
+        settings = replace(chosen.settings, horizon=horizon)
+        return replace(chosen, settings=settings).build(SEED)
 
     def drive(scenario: Scenario, **options: Any) -> Trace:
         return drive_predictor(build(), scenario, **options)
 
     return Contract(
-        _name(factory),
-        factory,
+        _name(made_by),
+        made_by,
         (
             _Rule("constructs", build),
             _Rule("predicts", lambda: drive(busy_scenario())),
@@ -255,8 +256,12 @@ def predictor_contract(factory: Callable[..., Predictor]) -> Contract:
     )
 
 
-def _name(factory: Callable[..., Any]) -> str:
-    return str(getattr(factory, "name", getattr(factory, "__name__", repr(factory))))
+def _chosen(plugin: type[PluginT] | PluginSpec[PluginT]) -> PluginSpec[PluginT]:
+    return plugin if isinstance(plugin, PluginSpec) else PluginSpec(plugin)
+
+
+def _name(plugin: type[Any]) -> str:
+    return str(getattr(plugin, "name", plugin.__name__))
 
 
 def _common_rules(

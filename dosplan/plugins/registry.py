@@ -1,26 +1,28 @@
-"""Finds plug-ins: by entry-point name, as ``module:Class`` or as ``path/to/file.py:Class``.
+"""Finds plug-ins, reads their options and builds them.
 
-Listing reads the metadata of installed distributions only; a plug-in is imported when it is
-named, so that a broken or heavy one costs those who do not use it nothing.
+A plug-in is named by its entry point, as ``module:Class`` or as ``path/to/file.py:Class``. Listing
+reads the metadata of installed distributions only; a plug-in is imported when it is named, so that
+a broken or heavy one costs those who do not use it nothing.
 """
 
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import inspect
-import sys
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from hashlib import sha256
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import MappingProxyType, ModuleType
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
-from dosplan.api import Planner, Predictor
-from dosplan.system.errors import DosplanError, did_you_mean, one_line
+from dosplan.api import Planner, PluginSpec, Predictor, PredictorSettings
+from dosplan.plugins.files import load_file, loaded_file, local_modules
+from dosplan.plugins.settings import SettingsError, apply_options, plain_settings
+from dosplan.system.errors import DosplanError, did_you_mean, failure_place, one_line
+
+_NO_OPTIONS: Final[Mapping[str, object]] = MappingProxyType({})
 
 
 class RegistryError(DosplanError, ValueError):
@@ -67,30 +69,28 @@ def list_plugins(kind: PluginKind) -> list[PluginInfo]:
     return sorted(offers, key=lambda offer: (offer.name, offer.distribution))
 
 
-def find_planner(spec: str, options: Collection[str] = ()) -> type[Planner]:
+def find_planner(spec: str) -> type[Planner]:
     """Imports the planner that ``spec`` names.
 
     Args:
         spec: Entry-point name, ``module:Class`` or ``path/to/file.py:Class``.
-        options: Names of further keyword arguments that its constructor has to take.
 
     Returns:
         Its class.
 
     Raises:
-        RegistryError: There is no such planner, two distributions offer it, its import fails, it
-            is not a complete ``Planner`` or takes no such option.
+        RegistryError: There is no such planner, two distributions offer it, its import fails, or
+            it is not a complete ``Planner``.
     """
-    found: type[Planner] = _find(spec, PluginKind.PLANNER, options)
+    found: type[Planner] = find_plugin(PluginKind.PLANNER, spec)
     return found
 
 
-def find_predictor(spec: str, options: Collection[str] = ()) -> type[Predictor]:
+def find_predictor(spec: str) -> type[Predictor]:
     """Imports the predictor that ``spec`` names.
 
     Args:
         spec: Entry-point name, ``module:Class`` or ``path/to/file.py:Class``.
-        options: Names of further keyword arguments that its constructor has to take.
 
     Returns:
         Its class.
@@ -98,68 +98,85 @@ def find_predictor(spec: str, options: Collection[str] = ()) -> type[Predictor]:
     Raises:
         RegistryError: As for ``find_planner``.
     """
-    found: type[Predictor] = _find(spec, PluginKind.PREDICTOR, options)
+    found: type[Predictor] = find_plugin(PluginKind.PREDICTOR, spec)
     return found
 
 
-def create_planner(
-    spec: str, seed: int, options: Mapping[str, object] = MappingProxyType({})
-) -> Planner:
+def choose_planner(spec: str, options: Mapping[str, object] = _NO_OPTIONS) -> PluginSpec[Planner]:
+    """Finds a planner and checks its options, without building it.
+
+    Args:
+        spec: As for ``find_planner``.
+        options: What its settings are to be, see ``dosplan.plugins.settings``.
+
+    Returns:
+        Its class and settings.
+
+    Raises:
+        RegistryError: It cannot be found, takes no such option, or a value has another type or is
+            out of range.
+    """
+    return choose_plugin(PluginKind.PLANNER, spec, options)
+
+
+def choose_predictor(
+    spec: str, options: Mapping[str, object] = _NO_OPTIONS
+) -> PluginSpec[Predictor]:
+    """Finds a predictor and checks its options, without building it.
+
+    Args:
+        spec: As for ``find_predictor``.
+        options: What its settings are to be, see ``dosplan.plugins.settings``.
+
+    Returns:
+        Its class and settings.
+
+    Raises:
+        RegistryError: As for ``choose_planner``.
+    """
+    return choose_plugin(PluginKind.PREDICTOR, spec, options)
+
+
+def create_planner(spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS) -> Planner:
     """Builds the planner that ``spec`` names.
 
     Args:
         spec: As for ``find_planner``.
         seed: Seed of the run.
-        options: Further keyword arguments of its constructor.
+        options: As for ``choose_planner``.
 
     Returns:
         The planner.
 
     Raises:
-        RegistryError: It cannot be found, takes no such option or its constructor raises.
+        RegistryError: As for ``choose_planner``, or its constructor raises.
     """
-    planner: Planner = _create(spec, seed, options, PluginKind.PLANNER)
+    planner: Planner = create_plugin(PluginKind.PLANNER, spec, seed, options)
     return planner
 
 
 def create_predictor(
-    spec: str, seed: int, options: Mapping[str, object] = MappingProxyType({})
+    spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS
 ) -> Predictor:
     """Builds the predictor that ``spec`` names.
 
     Args:
         spec: As for ``find_predictor``.
         seed: Seed of the run.
-        options: Further keyword arguments of its constructor.
+        options: As for ``choose_predictor``.
 
     Returns:
         The predictor.
 
     Raises:
-        RegistryError: It cannot be found, takes no such option or its constructor raises.
+        RegistryError: As for ``choose_predictor``, or its constructor raises.
     """
-    predictor: Predictor = _create(spec, seed, options, PluginKind.PREDICTOR)
+    predictor: Predictor = create_plugin(PluginKind.PREDICTOR, spec, seed, options)
     return predictor
 
 
-def source_files(spec: str) -> list[Path]:
-    """Names the file of a plug-in that is given by one.
-
-    Args:
-        spec: As for ``find_planner``.
-
-    Returns:
-        The file of ``path/to/file.py:Class``; nothing for what is installed.
-    """
-    location = spec.rpartition(":")[0]
-    return [Path(location)] if location.endswith(".py") else []
-
-
-def _distribution(entry_point: EntryPoint) -> str:
-    return entry_point.dist.name if entry_point.dist is not None else "unknown"
-
-
-def _find(spec: str, kind: PluginKind, options: Collection[str]) -> Any:
+def find_plugin(kind: PluginKind, spec: str) -> Any:
+    """Imports a plug-in; as ``find_planner``, of any kind."""
     target = spec if ":" in spec else _installed(spec, kind)
     location, _, attribute = target.rpartition(":")
     if not location or not attribute:
@@ -168,7 +185,9 @@ def _find(spec: str, kind: PluginKind, options: Collection[str]) -> Any:
         )
     try:
         module = (
-            _load_file(location) if location.endswith(".py") else importlib.import_module(location)
+            load_file(location, _shared_packages())
+            if location.endswith(".py")
+            else importlib.import_module(location)
         )
         found = getattr(module, attribute, None)  # A module may have its own way to answer this.
     except (Exception, SystemExit) as error:  # A plug-in's import may raise anything.
@@ -180,8 +199,135 @@ def _find(spec: str, kind: PluginKind, options: Collection[str]) -> Any:
         hint = did_you_mean(attribute, names)
         raise RegistryError(f"{kind.word} {spec!r}: {location} has no {attribute}{hint}")
     _check_class(found, spec, kind)
-    _check_options(found, options, spec, kind)
     return found
+
+
+def choose_plugin(
+    kind: PluginKind, spec: str, options: Mapping[str, object] = _NO_OPTIONS
+) -> PluginSpec[Any]:
+    """Finds a plug-in and checks its options; as ``choose_planner``, of any kind."""
+    found = find_plugin(kind, spec)
+    try:
+        settings = apply_options(found.settings(), options, _find_nested)
+        record(PluginSpec(found, settings))
+    except SettingsError as error:
+        raise RegistryError(f"{kind.word} {spec!r}: {error}") from None
+    except RegistryError as error:  # Of a plug-in that an option names.
+        raise RegistryError(f"{kind.word} {spec!r}: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise RegistryError(
+            f"{kind.word} {spec!r}: its settings cannot be read: {one_line(error)}"
+        ) from error
+    return PluginSpec(found, settings)
+
+
+def create_plugin(
+    kind: PluginKind, spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS
+) -> Any:
+    """Builds a plug-in; as ``create_planner``, of any kind."""
+    chosen = choose_plugin(kind, spec, options)
+    try:
+        return chosen.build(seed)
+    except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
+        place = failure_place(error, chosen.plugin)
+        raise RegistryError(
+            f"{kind.word} {spec!r} cannot be built: {one_line(error)} ({place})"
+        ) from error
+
+
+def record(chosen: PluginSpec[Any]) -> dict[str, Any]:
+    """Writes down all settings of a plug-in, and of the plug-ins in them.
+
+    Args:
+        chosen: The plug-in.
+
+    Returns:
+        What JSON can hold; as options of the plug-in, it gives the same settings.
+    """
+    return plain_settings(chosen.settings, lambda plugin: (_kind_of(plugin).word, target(plugin)))
+
+
+def portable_options(chosen: PluginSpec[Any]) -> dict[str, Any]:
+    """Writes settings so that they mean the same in another folder of the file system.
+
+    Args:
+        chosen: The plug-in.
+
+    Returns:
+        As ``record``, with absolute paths.
+    """
+    return plain_settings(
+        chosen.settings,
+        lambda plugin: (_kind_of(plugin).word, target(plugin)),
+        lambda path: path.absolute(),
+    )
+
+
+def target(plugin: type[Any]) -> str:
+    """By what name a plug-in is found, in another process as well.
+
+    Args:
+        plugin: Its class.
+
+    Returns:
+        Its entry point, ``file.py:Class`` or ``module:Class``.
+    """
+    file = loaded_file(plugin)
+    if file is not None:
+        return f"{file}:{plugin.__qualname__}"
+    found = f"{plugin.__module__}:{plugin.__qualname__}"
+    offers = list_plugins(_kind_of(plugin))
+    return next((offer.name for offer in offers if offer.target == found), found)
+
+
+def source_files(chosen: PluginSpec[Any]) -> list[Path]:
+    """Names the files that a plug-in consists of where it is given by a file.
+
+    Args:
+        chosen: The plug-in.
+
+    Returns:
+        Its file and the modules beside it that it imports, and those of the plug-ins in its
+        settings; nothing for what is installed.
+    """
+    files: list[Path] = []
+    file = loaded_file(chosen.plugin)
+    if file is not None:
+        files += local_modules(file, _shared_packages())
+    for nested in _nested(chosen.settings):
+        files += source_files(nested)
+    return files
+
+
+def _nested(settings: Any) -> list[PluginSpec[Any]]:
+    """The plug-ins in settings, in the order of their fields."""
+    found: list[PluginSpec[Any]] = []
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if isinstance(value, PluginSpec):
+            found.append(value)
+        elif is_dataclass(value):
+            found += _nested(value)
+    return found
+
+
+def _find_nested(base: type[Any], name: str) -> type[Any]:
+    found: type[Any] = find_plugin(next(kind for kind in PluginKind if kind.base is base), name)
+    return found
+
+
+def _kind_of(plugin: type[Any]) -> PluginKind:
+    return next(kind for kind in PluginKind if issubclass(plugin, kind.base))
+
+
+def _shared_packages() -> frozenset[str]:
+    """Packages that a file has in common with everybody, whatever lies beside it."""
+    offers = (offer.target for kind in PluginKind for offer in list_plugins(kind))
+    return frozenset({"dosplan", *(target.partition(".")[0] for target in offers)})
+
+
+def _distribution(entry_point: EntryPoint) -> str:
+    return entry_point.dist.name if entry_point.dist is not None else "unknown"
 
 
 def _installed(name: str, kind: PluginKind) -> str:
@@ -201,25 +347,6 @@ def _installed(name: str, kind: PluginKind) -> str:
     return offers[0].target
 
 
-def _load_file(path: str) -> ModuleType:
-    file = Path(path)
-    if not file.is_file():
-        raise FileNotFoundError(f"there is no file {path}")
-    digest = sha256(str(file.resolve()).encode()).hexdigest()[:12]
-    name = f"dosplan_plugin_{file.stem}_{digest}"
-    module_spec = importlib.util.spec_from_file_location(name, file)
-    if module_spec is None or module_spec.loader is None:
-        raise ImportError(f"{path} is not a Python file")
-    module = importlib.util.module_from_spec(module_spec)
-    sys.modules[name] = module  # dataclasses and pickle look a class's module up here.
-    try:
-        module_spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
-
-
 def _is_plugin(value: object, kind: PluginKind) -> bool:
     return inspect.isclass(value) and issubclass(value, kind.base) and value is not kind.base
 
@@ -236,68 +363,21 @@ def _check_class(found: object, spec: str, kind: PluginKind) -> None:
             f"{kind.word} {spec!r} has no name; give its class a versioned one, "
             f'such as name = "my-{kind.word}-v1"'
         )
-
-
-def _check_options(found: Any, options: Collection[str], spec: str, kind: PluginKind) -> None:
     try:
-        taken = _options(found)
-    except (TypeError, ValueError) as error:  # Settings or a constructor that are none.
-        raise RegistryError(
-            f"{kind.word} {spec!r} does not tell its options: {one_line(error)}"
-        ) from error
-    for name in options:
-        if taken is not None and name not in taken:
-            raise RegistryError(
-                f"{kind.word} {spec!r} takes no option {name!r}{did_you_mean(name, taken)} "
-                f"(options: {', '.join(taken) or 'none'})"
-            )
+        problem = _objection(getattr(found, "settings", None), kind)
+    except Exception as error:  # A class may have its own way to answer.
+        problem = f"cannot be made without arguments ({one_line(error)})"
+    if problem:
+        raise RegistryError(f"{kind.word} {spec!r}: its settings {problem}")
 
 
-def _create(spec: str, seed: int, options: Mapping[str, object], kind: PluginKind) -> Any:
-    found = _find(spec, kind, options)
-    try:
-        if found.settings is not None:
-            return found(seed=seed, settings=_settings(found.settings, options))
-        return found(seed=seed, **options)
-    except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
-        raise RegistryError(f"{kind.word} {spec!r} cannot be built: {one_line(error)}") from error
-
-
-def _settings(kind: type[Any], options: Mapping[str, object]) -> Any:
-    """The plug-in's dataclass with these values, checked against its types."""
-    import dacite  # Only for plug-ins with settings.
-
-    config = dacite.Config(strict=True, type_hooks={float: _number})
-    try:
-        return dacite.from_dict(kind, options, config)
-    except dacite.WrongTypeError as error:
-        raise ValueError(
-            f"option {error.field_path} is {error.value!r}, expected {error.field_type.__name__}"
-        ) from None
-
-
-def _number(value: object) -> object:
-    """An integer where a float is wanted is one."""
-    return float(value) if type(value) is int else value
-
-
-def _options(plugin: type[Any]) -> list[str] | None:
-    """Names of the options a class can be built with besides the seed.
-
-    They are the fields of its settings or the keyword arguments of its constructor, and of the
-    next class's where that hands ``**options`` on.
-
-    Returns:
-        The names, sorted; None where the constructors do not say.
-    """
-    if plugin.settings is not None:
-        return sorted(field.name for field in fields(plugin.settings))
-    names: set[str] = set()
-    for owner in plugin.__mro__:
-        if "__init__" not in vars(owner) or owner is object:
-            continue
-        parameters = list(inspect.signature(vars(owner)["__init__"]).parameters.values())[1:]
-        names |= {p.name for p in parameters if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
-        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
-            return sorted(names - {"seed"})
-    return None
+def _objection(settings: Any, kind: PluginKind) -> str:
+    """What is wrong with a class of settings; empty where nothing is."""
+    if not inspect.isclass(settings) or not is_dataclass(settings):
+        return f"are {settings!r}, expected a frozen dataclass"
+    if not vars(settings)["__dataclass_params__"].frozen:
+        return f"can be changed; write @dataclass(frozen=True) before {settings.__name__}"
+    if kind is PluginKind.PREDICTOR and not issubclass(settings, PredictorSettings):
+        return f"must have a horizon; let {settings.__name__} inherit from PredictorSettings"
+    settings()
+    return ""

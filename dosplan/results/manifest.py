@@ -25,9 +25,9 @@ class RunSettings:
         source: Where the scenarios are, as ``dosplan.scenario.find_scenarios`` takes it.
         planner: Planner, as ``dosplan.plugins.registry`` finds it.
         predictor: Predictor, likewise.
-        planner_options: Keyword arguments of the planner's constructor besides the seed: what
-            JSON can hold.
-        predictor_options: Those of the predictor's.
+        planner_options: What was set of the planner's settings: what JSON can hold, see
+            ``dosplan.plugins.settings``.
+        predictor_options: Likewise of the predictor's.
         arms: Arms to drive.
         workers: Number of worker processes on this machine.
         limit: Number of scenarios to drive, the first ones; None drives all.
@@ -68,6 +68,8 @@ class RunManifest:
         config: The settings of the run.
         planner: Name of the planner, with its version.
         predictor: Name of the predictor, likewise.
+        settings: All settings of ``planner`` and ``predictor``, defaults and the plug-ins within
+            them included; as options of the plug-in, they give the same one.
         scenarios: Ids of the scenarios, in their order: with the arms, every episode of the run.
         digests: SHA-256 of the content of the plug-ins' files, weights and scenario files; what
             tells that a run cannot be resumed since they changed.
@@ -81,6 +83,7 @@ class RunManifest:
     config: RunSettings
     planner: str
     predictor: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
     scenarios: tuple[str, ...]
     digests: Mapping[str, str] = field(default_factory=dict)
     started: str = ""

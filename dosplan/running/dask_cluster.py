@@ -21,7 +21,12 @@ from threading import Lock
 from typing import Any, Final
 
 from dosplan import __version__
-from dosplan.plugins.registry import source_files
+from dosplan.plugins.registry import (
+    choose_planner,
+    choose_predictor,
+    portable_options,
+    target,
+)
 from dosplan.running.config import RunConfig, RunError
 from dosplan.running.executor import Results, Task
 from dosplan.running.job import EpisodeResult
@@ -72,10 +77,7 @@ class DaskExecutor:
 
     def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
         """Drives episodes, as ``Executor`` says."""
-        # A worker stands in another folder.
-        config = replace(
-            config, planner=_absolute(config.planner), predictor=_absolute(config.predictor)
-        )
+        config = _anywhere(config)
         source = iter(tasks)
         pending: dict[str, Task] = {}
         _silence_dask()
@@ -229,6 +231,14 @@ def _silence_dask() -> None:
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
 
 
-def _absolute(spec: str) -> str:
-    files = source_files(spec)
-    return f"{files[0].absolute()}:{spec.rpartition(':')[2]}" if files else spec
+def _anywhere(config: RunConfig) -> RunConfig:
+    """The same run for a worker that stands in another folder: paths are absolute."""
+    planner = choose_planner(config.planner, config.planner_options)
+    predictor = choose_predictor(config.predictor, config.predictor_options)
+    return replace(
+        config,
+        planner=target(planner.plugin),
+        predictor=target(predictor.plugin),
+        planner_options=portable_options(planner),
+        predictor_options=portable_options(predictor),
+    )

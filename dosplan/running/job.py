@@ -19,7 +19,7 @@ from dosplan.api import Planner, Predictor
 from dosplan.plugins.registry import create_planner, create_predictor
 from dosplan.results.recording import pack_recording
 from dosplan.results.rows import row_line
-from dosplan.running.config import RunConfig
+from dosplan.running.config import RunConfig, RunError
 from dosplan.scenario import ScenarioRef, load_scenario
 from dosplan.scoring.score import failed_score, score
 from dosplan.simulation.loop import SimulationConfig, run_episode
@@ -77,7 +77,7 @@ class Session:
         plugins, self._plugins = self._plugins, None
         try:
             seed_globals(config.seed)
-            planner, predictor = plugins = plugins or _make_plugins(config)
+            planner, predictor = plugins = plugins or make_plugins(config)
             seed_globals(config.seed)
             scenario = load_scenario(ref, cached=config.cache)
             loop = SimulationConfig(replan_every=config.replan_every)
@@ -117,11 +117,27 @@ def failed_result(ref: ScenarioRef, arm: Arm, error: BaseException) -> EpisodeRe
     return EpisodeResult(failed_score(ref.id, arm, one_line(error)), traceback=_text(error))
 
 
-def _make_plugins(config: RunConfig) -> tuple[Planner, Predictor]:
-    return (
-        create_planner(config.planner, config.seed, config.planner_options),
-        create_predictor(config.predictor, config.seed, config.predictor_options),
-    )
+def make_plugins(config: RunConfig) -> tuple[Planner, Predictor]:
+    """Makes the plug-ins of a run.
+
+    Args:
+        config: The run.
+
+    Returns:
+        The planner and the predictor.
+
+    Raises:
+        RegistryError: One of them cannot be built.
+        RunError: The predictor does not predict as far as the planner looks ahead.
+    """
+    planner = create_planner(config.planner, config.seed, config.planner_options)
+    predictor = create_predictor(config.predictor, config.seed, config.predictor_options)
+    if predictor.horizon < planner.look_ahead:
+        raise RunError(
+            f"planner {planner.name} looks {planner.look_ahead} steps ahead, predictor "
+            f"{predictor.name} predicts {predictor.horizon}; raise predictor.horizon"
+        )
+    return planner, predictor
 
 
 def _text(error: BaseException) -> str:

@@ -9,14 +9,15 @@ moment is resumed by the same command. The rows end up in the order of the manif
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, redirect_stdout, suppress
 from datetime import UTC, datetime
 from itertools import product
 from typing import Any, Final
 
 from dosplan.api import OraclePredictor
-from dosplan.plugins.registry import find_planner, find_predictor, source_files
+from dosplan.plugins.registry import choose_planner, choose_predictor, record, source_files
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, read_manifest, write_manifest
 from dosplan.results.markdown import summary_markdown
@@ -25,7 +26,7 @@ from dosplan.results.solutions import write_solutions
 from dosplan.results.summary import summarise_run, write_summary
 from dosplan.running.config import FREE, RunConfig, RunError
 from dosplan.running.executor import Executor, LocalExecutor, Task
-from dosplan.running.job import EpisodeResult
+from dosplan.running.job import EpisodeResult, make_plugins
 from dosplan.running.progress import Observer
 from dosplan.scenario import ScenarioRef, find_scenarios
 from dosplan.system.files import remove_half_written, write_bytes, write_text
@@ -55,7 +56,7 @@ def run(
 
     Raises:
         RunError: The run may not start or cannot go on, or its folder holds another one.
-        RegistryError: A plug-in cannot be found or takes no such option.
+        RegistryError: A plug-in cannot be found or built, or an option is wrong.
         ScenarioError: There are no scenarios.
         FileError: A result cannot be written.
     """
@@ -143,24 +144,27 @@ def _held(folder: RunFolder) -> Iterator[None]:
 
 
 def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
-    """Checks the plug-ins and describes the run."""
-    planner = find_planner(config.planner, config.planner_options)
-    predictor = find_predictor(config.predictor, config.predictor_options)
-    if config.ranked and issubclass(predictor, OraclePredictor):
+    """Builds the plug-ins once, to check them, and describes the run."""
+    planner = choose_planner(config.planner, config.planner_options)
+    predictor = choose_predictor(config.predictor, config.predictor_options)
+    if config.ranked and issubclass(predictor.plugin, OraclePredictor):
         raise RunError(
-            f"predictor {predictor.name} is shown the future, so a ranked run refuses it; "
+            f"predictor {predictor.plugin.name} is shown the future, so a ranked run refuses it; "
             "--unranked allows it and marks the results"
         )
+    with redirect_stdout(sys.stderr):  # What a plug-in prints is no figure.
+        _, foreteller = make_plugins(config)
     environment = describe_environment()
     return RunManifest(
         config=config.settings,
-        planner=planner.name,
-        predictor=predictor.name,
+        planner=planner.plugin.name,
+        predictor=predictor.plugin.name,
+        settings={"planner": record(planner), "predictor": record(predictor)},
         scenarios=tuple(ref.id for ref in refs),
         digests={
-            "planner file": content_digest(source_files(config.planner)),
-            "predictor file": content_digest(source_files(config.predictor)),
-            "weights": content_digest(predictor.weight_files()),
+            "planner file": content_digest(source_files(planner)),
+            "predictor file": content_digest(source_files(predictor)),
+            "weights": content_digest(foreteller.weight_files()),
             "scenario files": content_digest(ref.path for ref in refs),
         },
         started=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -185,7 +189,7 @@ def _open_folder(folder: RunFolder, manifest: RunManifest) -> RunManifest:
     if folder.manifest.exists():
         old = read_manifest(folder)
         there, here = _identity(old), _identity(manifest)
-        odd = next((key for key in here if there[key] != here[key]), None)
+        odd = next((key for key in here if there.get(key) != here[key]), None)
         if odd is not None:
             raise RunError(
                 f"{folder.path} holds a run with another {odd}; nothing was changed. "
@@ -205,7 +209,17 @@ def _identity(manifest: RunManifest) -> dict[str, Any]:
         **{key: value for key, value in vars(manifest.config).items() if key not in FREE},
         "planner version": manifest.planner,
         "predictor version": manifest.predictor,
+        **{f"value of {name}": value for name, value in _leaves(manifest.settings)},
         "dosplan version": manifest.versions.get("dosplan"),
         "list of scenarios": manifest.scenarios,
         "content of its planner, predictor, weight or scenario files": manifest.digests,
     }
+
+
+def _leaves(settings: Mapping[str, Any], name: str = "") -> Iterator[tuple[str, Any]]:
+    """The values in nested mappings, by dotted names."""
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{name}{key}.")
+        else:
+            yield f"{name}{key}", value

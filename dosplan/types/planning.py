@@ -155,6 +155,20 @@ class Occupancy:
         """Number T of predicted steps."""
         return int(self.centre.shape[1])
 
+    def first_steps(self, count: int) -> Self:
+        """The same for the first steps only.
+
+        Args:
+            count: Number of steps to keep; of fewer, all are kept.
+
+        Returns:
+            The first columns of every array.
+        """
+        if count >= self.horizon:
+            return self
+        parts = ("centre", "semi_axes", "angle", "valid", "heading")
+        return replace(self, **{name: getattr(self, name)[:, :count] for name in parts})
+
     def without_sets(self) -> Self:
         """The same predicted positions with semi-axes of zero: the *without DOS* arm."""
         return replace(self, semi_axes=np.zeros_like(self.semi_axes))

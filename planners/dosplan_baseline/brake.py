@@ -2,11 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from dosplan_baseline.constant import ConstantAccelerationPlanner
+
+
+@dataclass(frozen=True)
+class BrakeSettings:
+    """The options of full braking.
+
+    Attributes:
+        deceleration: m/s2; the default is what tyres give on a dry road.
+    """
+
+    deceleration: float = 8.0
+
+    def __post_init__(self) -> None:
+        if self.deceleration <= 0.0:
+            raise ValueError(f"deceleration is {self.deceleration}, expected more than 0")
 
 
 class BrakePlanner(ConstantAccelerationPlanner):
     """Full braking along the route; the lower bound of every comparison."""
 
     name = "brake-v1"
-    acceleration = -8.0  # What tyres give on a dry road.
+    settings = BrakeSettings
+
+    def __init__(self, *, seed: int = 0, settings: BrakeSettings = BrakeSettings()) -> None:
+        """Keeps the deceleration.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            settings: The options.
+        """
+        super().__init__(seed=seed, settings=settings)
+        self.acceleration = -settings.deceleration

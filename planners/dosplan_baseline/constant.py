@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 from dosplan.api import Planner
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
 from dosplan.vehicle import VehicleParameters
@@ -14,10 +12,10 @@ class ConstantAccelerationPlanner(Planner):
     """One acceleration along the route, down to a standstill where it is negative.
 
     Attributes:
-        acceleration: m/s2.
+        acceleration: m/s2; constant velocity by default.
     """
 
-    acceleration: ClassVar[float]
+    acceleration: float = 0.0
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
         """Prepares the path.

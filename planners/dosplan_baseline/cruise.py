@@ -12,4 +12,3 @@ class CruisePlanner(ConstantAccelerationPlanner):
     """Constant velocity along the route."""
 
     name = "cruise-v1"
-    acceleration = 0.0

@@ -27,18 +27,48 @@ from dosplan.types import (
 from dosplan.vehicle import VehicleParameters
 from dosplan_baseline.tracking import bend_speed, extended_path, roll_out
 
-TIME_GAP = 1.0  # s
-LEAST_GAP = 2.0  # m
-ACCELERATION = 1.0  # m/s2
-DECELERATION = 1.5  # m/s2, comfortable
-EXPONENT = 4.0
 
-FULL_BRAKING = 8.0  # m/s2
-LATERAL_ACCELERATION = 3.0  # m/s2 in bends
-LEAST_VELOCITY = 1.0  # m/s; below this wish a vehicle would never arrive anywhere.
-SIDE_MARGIN = 0.2  # m on either side of the ego's corridor
-GOAL_MARGIN = 2.0  # m inside either end of the goal's region
-LOOK_AHEAD = 10  # Predicted steps that are searched for a leader: the time gap.
+@dataclass(frozen=True)
+class IdmSettings:
+    """The options of the model and of what surrounds it.
+
+    Attributes:
+        time_gap: Time gap to a leader, s.
+        least_gap: Gap at a standstill, m.
+        acceleration: Acceleration on a free road, m/s2.
+        deceleration: Comfortable deceleration, m/s2.
+        exponent: How late the acceleration falls off as the desired velocity comes near.
+        full_braking: Largest deceleration, m/s2.
+        lateral_acceleration: With which bends are taken, m/s2.
+        least_velocity: Smallest desired velocity, m/s; with none, a vehicle would never arrive.
+        side_margin: Distance on either side of the ego that makes its corridor, m.
+        goal_margin: Distance from either end of the goal's region that is aimed at, m.
+        searched_steps: Predicted steps in which a leader is looked for; the default is the time
+            gap.
+    """
+
+    time_gap: float = 1.0
+    least_gap: float = 2.0
+    acceleration: float = 1.0
+    deceleration: float = 1.5
+    exponent: float = 4.0
+    full_braking: float = 8.0
+    lateral_acceleration: float = 3.0
+    least_velocity: float = 1.0
+    side_margin: float = 0.2
+    goal_margin: float = 2.0
+    searched_steps: int = 10
+
+    def __post_init__(self) -> None:
+        for name in ("time_gap", "least_gap", "side_margin", "goal_margin"):
+            if getattr(self, name) < 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
+        for name in (
+            "acceleration", "deceleration", "exponent", "full_braking", "lateral_acceleration",
+            "least_velocity", "searched_steps",
+        ):  # fmt: skip
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected more than 0")
 
 
 @dataclass(frozen=True)
@@ -55,7 +85,11 @@ class Leaders:
 
 
 def idm_acceleration(
-    velocity: float, wish: float, gap: FloatArray, leader_velocity: FloatArray
+    velocity: float,
+    wish: float,
+    gap: FloatArray,
+    leader_velocity: FloatArray,
+    settings: IdmSettings,
 ) -> float:
     """Acceleration of the model, for the leader that asks for the hardest braking.
 
@@ -64,19 +98,21 @@ def idm_acceleration(
         wish: Desired velocity, m/s, positive.
         gap: (L,) bumper-to-bumper gaps, m; L may be 0.
         leader_velocity: (L,) m/s.
+        settings: The figures of the model.
 
     Returns:
-        m/s2, at least ``-FULL_BRAKING``.
+        m/s2, at least ``-settings.full_braking``.
     """
+    most, comfortable = settings.acceleration, settings.deceleration
     if velocity <= wish:
-        free = ACCELERATION * (1.0 - (velocity / wish) ** EXPONENT)
+        free = most * (1.0 - (velocity / wish) ** settings.exponent)
     else:
-        power = ACCELERATION * EXPONENT / DECELERATION
-        free = -DECELERATION * (1.0 - (wish / velocity) ** power)
+        power = most * settings.exponent / comfortable
+        free = -comfortable * (1.0 - (wish / velocity) ** power)
     closing = velocity * (velocity - leader_velocity)
-    dynamic = velocity * TIME_GAP + closing / (2.0 * np.sqrt(ACCELERATION * DECELERATION))
-    ratio = (LEAST_GAP + np.maximum(dynamic, 0.0)) / np.maximum(gap, 0.1)
-    return float(max(free - ACCELERATION * np.max(ratio**2, initial=0.0), -FULL_BRAKING))
+    dynamic = velocity * settings.time_gap + closing / (2.0 * np.sqrt(most * comfortable))
+    ratio = (settings.least_gap + np.maximum(dynamic, 0.0)) / np.maximum(gap, 0.1)
+    return float(max(free - most * np.max(ratio**2, initial=0.0), -settings.full_braking))
 
 
 def find_leaders(
@@ -84,6 +120,7 @@ def find_leaders(
     observation: Observation,
     occupancy: Occupancy,
     vehicle: VehicleParameters,
+    settings: IdmSettings,
 ) -> Leaders:
     """Road users whose set, with their footprint, enters the ego's corridor within a time gap.
 
@@ -96,16 +133,17 @@ def find_leaders(
         observation: What is known now.
         occupancy: The sets of the road users of ``observation``.
         vehicle: The ego.
+        settings: How wide and how far ahead to look.
 
     Returns:
         Every road user and step that blocks the corridor ahead of the ego.
     """
-    steps = min(LOOK_AHEAD, occupancy.horizon)
+    steps = min(settings.searched_steps, occupancy.horizon)
     valid = occupancy.valid[:, :steps]
     corners = set_corners(occupancy, steps)
     s = path.locate(corners)
     lateral = path.offset(corners, s)
-    side = 0.5 * vehicle.width + SIDE_MARGIN
+    side = 0.5 * vehicle.width + settings.side_margin
     blocks = valid & (lateral.min(axis=-1) < side) & (lateral.max(axis=-1) > -side)
 
     now = path.locate(observation.states[:, -1, :2])
@@ -138,6 +176,17 @@ class IdmPlanner(Planner):
     """Follows the route, the goal's deadline and the leader."""
 
     name = "idm-v1"
+    settings = IdmSettings
+
+    def __init__(self, *, seed: int = 0, settings: IdmSettings = IdmSettings()) -> None:
+        """Keeps the settings.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            settings: The options.
+        """
+        super().__init__(seed=seed, settings=settings)
+        self._settings = settings
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
         """Prepares the path, the speed its bends allow and the way to each goal.
@@ -149,9 +198,13 @@ class IdmPlanner(Planner):
         """
         self._vehicle = vehicle
         self._path = extended_path(task.route)
-        self._bends = bend_speed(self._path, LATERAL_ACCELERATION, DECELERATION)
+        self._bends = bend_speed(
+            self._path, self._settings.lateral_acceleration, self._settings.deceleration
+        )
         self._start_velocity = float(task.start[EGO_VELOCITY])
-        self._goals = [(goal, _extent(goal, self._path)) for goal in task.goals]
+        self._goals = [
+            (goal, _extent(goal, self._path, self._settings.goal_margin)) for goal in task.goals
+        ]
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
         """Rolls the model out behind leaders that keep their speed.
@@ -163,14 +216,15 @@ class IdmPlanner(Planner):
         Returns:
             The plan.
         """
-        leaders = find_leaders(self._path, observation, occupancy, self._vehicle)
+        settings = self._settings
+        leaders = find_leaders(self._path, observation, occupancy, self._vehicle, settings)
         wish = self._wish(observation)
         front = self._vehicle.rear_to_centre + 0.5 * self._vehicle.length
 
         def acceleration(step: int, s: float, velocity: float) -> float:
-            allowed = max(min(wish, float(np.interp(s, *self._bends))), LEAST_VELOCITY)
+            allowed = max(min(wish, float(np.interp(s, *self._bends))), settings.least_velocity)
             gap = leaders.rear + leaders.velocity * step * observation.dt - (s + front)
-            return idm_acceleration(velocity, allowed, gap, leaders.velocity)
+            return idm_acceleration(velocity, allowed, gap, leaders.velocity, settings)
 
         return roll_out(self._path, observation.ego, acceleration, self._vehicle, observation.dt)
 
@@ -187,10 +241,10 @@ class IdmPlanner(Planner):
         return float(np.clip(wish, *(goal.velocity or (0.0, np.inf))))
 
 
-def _extent(goal: GoalState, path: ReferencePath) -> tuple[float, float]:
+def _extent(goal: GoalState, path: ReferencePath, most: float) -> tuple[float, float]:
     """First and last arc length of a goal's region, a little inside; infinite without one."""
     if goal.region is None:
         return -np.inf, np.inf
     s = path.locate(shapely.get_coordinates(goal.region))
-    margin = min(GOAL_MARGIN, 0.25 * float(np.ptp(s)))
+    margin = min(most, 0.25 * float(np.ptp(s)))
     return float(s.min()) + margin, float(s.max()) - margin

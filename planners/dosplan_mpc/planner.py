@@ -59,15 +59,16 @@ class MpcPlanner(Planner):
 
     settings: ClassVar[type[MpcConfig]] = MpcConfig
 
-    def __init__(self, *, seed: int = 0, settings: MpcConfig | None = None) -> None:
+    def __init__(self, *, seed: int = 0, settings: MpcConfig = MpcConfig()) -> None:
         """Keeps the settings; the problem itself is built at the first episode.
 
         Args:
             seed: Seed of the run; the planner draws nothing at random.
-            settings: Settings; the defaults where None.
+            settings: The options.
         """
-        super().__init__(seed=seed)
-        self.config = settings or MpcConfig()
+        super().__init__(seed=seed, settings=settings)
+        self.config = settings
+        self.look_ahead = settings.horizon
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
         """Lays out path and goals; forgets the last episode.
@@ -100,15 +101,7 @@ class MpcPlanner(Planner):
 
         Returns:
             The plan.
-
-        Raises:
-            ValueError: The sets do not reach as far as the planner looks ahead.
         """
-        if occupancy.horizon < self.config.horizon:
-            raise ValueError(
-                f"the sets reach {occupancy.horizon} steps ahead, the planner needs "
-                f"{self.config.horizon}; raise the predictor's horizon"
-            )
         start = np.append(observation.ego, _previous_acceleration(observation))
         located, offset = self._path.project(observation.ego[:2], np.array(self._arclength))
         self._arclength = float(located)

@@ -13,6 +13,7 @@ process.
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,20 +47,36 @@ except ImportError as error:
     raise ImportError(f"{error}; {INSTALL}") from error
 
 
+@dataclass(frozen=True)
+class ReactiveSettings:
+    """The options of the reactive planner.
+
+    Attributes:
+        horizon: Steps to plan; 20 is that of the configurations it is published with.
+    """
+
+    horizon: int = 20
+
+    def __post_init__(self) -> None:
+        if self.horizon < 1:
+            raise ValueError(f"horizon is {self.horizon}, expected 1 or more")
+
+
 class CommonRoadReactivePlanner(Peer):
     """CommonRoad's reactive planner."""
 
     name = "reactive-v1"
+    settings = ReactiveSettings
 
-    def __init__(self, *, seed: int = 0, horizon: int = 20) -> None:
-        """Chooses the horizon.
+    def __init__(self, *, seed: int = 0, settings: ReactiveSettings = ReactiveSettings()) -> None:
+        """Keeps the horizon.
 
         Args:
             seed: Seed of the run; the planner draws nothing at random.
-            horizon: Steps to plan; 20 is that of the configurations it is published with.
+            settings: The options.
         """
-        super().__init__(seed=seed)
-        self._horizon = horizon
+        super().__init__(seed=seed, settings=settings)
+        self._horizon = settings.horizon
 
     def build(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
         """Makes a planner with the road's edge as its only obstacle.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -12,9 +12,9 @@ import numpy as np
 from dosplan_net.encoder import Encoded, shared_encoder, shipped_weights
 from dosplan_net.engine import Engine, Function, Model, open_function
 from dosplan_net.features import HORIZON, Float32Array
-from dosplan_net.predictor import NetPredictor, check_horizon
+from dosplan_net.predictor import NetPredictor, NetSettings, check_file, check_horizon
 
-from dosplan.api import Predictor
+from dosplan.api import PluginSpec, Predictor, PredictorSettings
 from dosplan.geometry import to_body
 from dosplan.types import (
     USER_HEADING,
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 DEFAULT_SETS = "coverage"
 DEFAULT_SCALE = 0.5
+WEIGHTS: Final = ".safetensors"
+"""End of the name of a weight file."""
 
 
 def _load_sets(weights: Path) -> SetsGraph:
@@ -44,6 +46,65 @@ def _load_sets(weights: Path) -> SetsGraph:
 SETS: Final = Model(_load_sets, suffix=".onnx", option="--sets")
 
 
+@dataclass(frozen=True)
+class DosSettings(PredictorSettings):
+    """The options of dynamic occupancy sets.
+
+    Attributes:
+        horizon: Number T of steps to predict, at most 40.
+        sets: Name of a shipped module (``coverage``, ``free``, ``pr`` ...) or a weight file, whose
+            name ends with ``.safetensors``.
+        scale: Factor on the semi-axes, such as the number of standard deviations of ``pr``; by
+            default a half, which did best in closed loop on training and validation scenarios:
+            sets that cover nine in ten block lanes that are free.
+        coverage: Share of the true centres that the sets are to cover, in (0, 1); the sets are
+            calibrated on recordings for it; not together with ``scale``.
+        simultaneous: Whether to cover all steps of the horizon at once with that probability,
+            instead of each step.
+        base: Where the centres come from; by default the network of ``network``.
+        network: Weights of the trajectory network that the module was trained on; the shipped
+            ones by default.
+        threads: Threads that the network and the module may use.
+        engine: Who runs them: ``torch``, or ``onnx``, which is quicker; its files are made with
+            ``dosplan export``.
+    """
+
+    sets: str = DEFAULT_SETS
+    scale: float | None = None
+    coverage: float | None = None
+    simultaneous: bool = False
+    base: PluginSpec[Predictor] | None = None
+    network: Path | None = None
+    threads: int = 1
+    engine: Engine = Engine.TORCH
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_horizon(self.horizon)
+        if self.scale is not None and self.coverage is not None:
+            raise ValueError("give a scale or a coverage, not both")
+        if self.scale is not None and self.scale < 0.0:
+            raise ValueError(f"scale is {self.scale}, expected 0 or more")
+        if self.coverage is not None and not 0.0 < self.coverage < 1.0:
+            raise ValueError(f"coverage is {self.coverage}, expected a share between 0 and 1")
+        if self.base is not None:
+            self.check_reach(self.base)
+        check_file("network", self.network)
+        if self.sets.endswith(WEIGHTS):
+            check_file("sets", Path(self.sets))
+        if self.threads < 1:
+            raise ValueError(f"threads is {self.threads}, expected 1 or more")
+
+    @property
+    def sets_file(self) -> Path:
+        """The weights of the module.
+
+        Raises:
+            ValueError: There is no shipped module of that name.
+        """
+        return Path(self.sets) if self.sets.endswith(WEIGHTS) else shipped_sets(self.sets)
+
+
 class DosPredictor(Predictor):
     """Ellipses that a trained module puts around predicted centres.
 
@@ -53,81 +114,53 @@ class DosPredictor(Predictor):
     """
 
     name = "dos-v1"
+    settings = DosSettings
 
-    def __init__(
-        self,
-        *,
-        seed: int = 0,
-        horizon: int = HORIZON,
-        sets: str | Path = DEFAULT_SETS,
-        scale: float | None = None,
-        coverage: float | None = None,
-        simultaneous: bool = False,
-        base: Predictor | None = None,
-        network: Path | None = None,
-        threads: int = 1,
-        engine: str = Engine.TORCH,
-    ) -> None:
+    def __init__(self, *, seed: int = 0, settings: DosSettings = DosSettings()) -> None:
         """Loads the network, the module and, where a coverage is asked for, its calibration.
 
         Args:
-            seed: Seed of the run; nothing here is random.
-            horizon: Number T of steps to predict, at most 40.
-            sets: Name of a shipped module (``coverage``, ``free``, ``pr`` ...) or a weight file.
-            scale: Factor on the semi-axes, such as the number of standard deviations of ``pr``; by
-                default a half, which did best in closed loop on training and validation
-                scenarios: sets that cover nine in ten block lanes that are free.
-            coverage: Share of the true centres that the sets are to cover, in (0, 1); the sets
-                are calibrated on recordings for it; not together with ``scale``.
-            simultaneous: Whether to cover all steps of the horizon at once with that probability,
-                instead of each step.
-            base: Where the centres come from; the trained network by default.
-            network: Weights of the trajectory network that the module was trained on; the shipped
-                ones by default.
-            threads: Threads that the network and the module may use.
-            engine: Who runs them: ``torch``, or ``onnx``, which is quicker; its files are made
-                with ``dosplan export``.
+            seed: Seed of the run, for the trajectory predictor; nothing here is random.
+            settings: The options.
 
         Raises:
             EngineError: The engine is missing, or cannot run these weights.
-            ValueError: The horizon is too long or not the base's, scale and coverage are both
-                given, or there is no calibration for the coverage.
+            ValueError: There is no calibration for the coverage.
             WeightsError: The weights cannot be read.
         """
-        super().__init__(seed=seed, horizon=horizon)
-        check_horizon(self.name, horizon)
-        self.base = base or NetPredictor(
-            seed=seed, horizon=horizon, weights=network, threads=threads, engine=engine
+        super().__init__(seed=seed, settings=settings)
+        own = PluginSpec(
+            NetPredictor,
+            NetSettings(
+                horizon=settings.horizon,
+                weights=settings.network,
+                threads=settings.threads,
+                engine=settings.engine,
+            ),
         )
-        if self.base.horizon != horizon:
-            raise ValueError(
-                f"{self.name}: base predicts {self.base.horizon} steps, horizon is {horizon}; "
-                "make them equal"
-            )
-        if scale is not None and coverage is not None:
-            raise ValueError(f"{self.name}: give a scale or a coverage, not both")
-        self.coverage = coverage
+        self.base: Predictor = (settings.base or own).build(seed)
+        self.coverage = coverage = settings.coverage
         # Calibrated factors are for the sets as they were trained.
-        self.scale = (1.0 if coverage is not None else DEFAULT_SCALE) if scale is None else scale
-        self._module = shared_module(
-            shipped_sets(sets) if isinstance(sets, str) else sets, Engine(engine), threads
-        )
-        self.encoder = shared_encoder(network or shipped_weights(), Engine(engine), threads)
+        plain = 1.0 if coverage is not None else DEFAULT_SCALE
+        self.scale = plain if settings.scale is None else settings.scale
+        self._files = (settings.network or shipped_weights(), settings.sets_file)
+        network, sets = self._files
+        self._module = shared_module(sets, settings.engine, settings.threads)
+        self.encoder = shared_encoder(network, settings.engine, settings.threads)
         self._calibration = None
         if coverage is not None:
-            mode = Mode.SIMULTANEOUS if simultaneous else Mode.PER_STEP
+            mode = Mode.SIMULTANEOUS if settings.simultaneous else Mode.PER_STEP
             self._calibration = shipped_calibration(sets, mode)
             # A level that no scene can have is refused here, not in the first episode.
             self._calibration.factors(coverage, np.zeros(0), [])
 
-    @classmethod
-    def weight_files(cls) -> tuple[Path, ...]:
-        """The shipped network and the default module.
+    def weight_files(self) -> tuple[Path, ...]:
+        """The network, the module and what the base uses.
 
         Returns:
             Their files.
         """
-        return (shipped_weights(), shipped_sets(DEFAULT_SETS))
+        return tuple(dict.fromkeys((*self._files, *self.base.weight_files())))
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
         """Begins an episode of the trajectory predictor and reads the map.
@@ -174,7 +207,7 @@ class DosPredictor(Predictor):
             double = every_step(turned)[:, : self.horizon]
             heading = observation.states[moving, -1, USER_HEADING, None]
             angle[moving] = heading + 0.5 * np.arctan2(double[..., 1], double[..., 0])
-        return replace(trajectory, semi_axes=semi_axes, angle=angle)
+        return replace(trajectory.first_steps(self.horizon), semi_axes=semi_axes, angle=angle)
 
     def _local(
         self, observation: Observation, trajectory: Occupancy, encoded: Encoded
@@ -186,8 +219,8 @@ class DosPredictor(Predictor):
         if isinstance(self.base, NetPredictor) and self.base.encoder is self.encoder:
             return encoded.trajectory
         now = observation.states[encoded.moving, -1]
-        centre = trajectory.centre[encoded.moving]
-        valid = trajectory.valid[encoded.moving]
+        centre = trajectory.centre[encoded.moving, :HORIZON]
+        valid = trajectory.valid[encoded.moving, :HORIZON]
         known = np.maximum.accumulate(np.where(valid, np.arange(centre.shape[1]), -1), axis=1)
         last = np.take_along_axis(centre, np.maximum(known, 0)[..., None], axis=1)
         last = np.where(known[..., None] < 0, now[:, None, :2], last)
@@ -236,11 +269,11 @@ def shared_module(weights: Path, engine: Engine, threads: int) -> Function:
 
 
 @lru_cache(maxsize=8)
-def shipped_calibration(sets: str | Path, mode: Mode) -> Calibration:
+def shipped_calibration(weights: Path, mode: Mode) -> Calibration:
     """The calibration that lies beside a module's weights.
 
     Args:
-        sets: As for ``DosPredictor``.
+        weights: The weights.
         mode: Per step or simultaneous.
 
     Returns:
@@ -249,7 +282,6 @@ def shipped_calibration(sets: str | Path, mode: Mode) -> Calibration:
     Raises:
         ValueError: There is none.
     """
-    weights = shipped_sets(sets) if isinstance(sets, str) else sets
     path = weights.with_suffix(".calibration.npz")
     if not path.is_file():
         raise ValueError(

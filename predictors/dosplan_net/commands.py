@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
-from enum import Enum
 from pathlib import Path
 from textwrap import shorten
 from typing import Any, Final
@@ -113,18 +112,15 @@ def read_training(path: Path, kind: Any) -> Any:
     Raises:
         CommandError: The file cannot be read, or does not hold such fields.
     """
-    import dacite
-
+    from dosplan.plugins.settings import apply_options
     from dosplan.system.yaml_text import parse_yaml
 
     try:
         content = parse_yaml(path.read_text(encoding="utf-8")) or {}
         if not isinstance(content, dict):
             raise ValueError("not a list of options and their values")
-        # YAML reads 1e-3 as text, and 1 is a fine value where 1.0 is meant.
-        config = dacite.Config(strict=True, cast=[Enum], type_hooks={float: float})
-        return dacite.from_dict(kind, content, config)
-    except (OSError, dacite.DaciteError, ValueError, TypeError, OverflowError) as error:
+        return apply_options(kind(), content)
+    except (OSError, ValueError) as error:
         raise CommandError(f"{path}: {shorten(str(error), 300, placeholder=' ...')}") from None
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from dosplan.api import Predictor
+from dosplan.api import Predictor, PredictorSettings
 from dosplan.geometry import to_world
 from dosplan.types import (
     USER_HEADING,
@@ -25,47 +26,85 @@ HEADING_SPAN = 3  # Steps on either side whose chord gives the heading at a step
 HEADING_MEMORY = 0.5  # m; on a chord that is short against this, the present heading stands.
 
 
+def check_horizon(horizon: int) -> None:
+    """Refuses a horizon that the network was not trained for.
+
+    Args:
+        horizon: Steps that are asked for.
+
+    Raises:
+        ValueError: They are more than ``HORIZON``.
+    """
+    if horizon > HORIZON:
+        raise ValueError(f"horizon is {horizon}, expected {HORIZON} or less")
+
+
+def check_file(option: str, path: Path | None) -> None:
+    """Refuses a setting that names a file which is not there.
+
+    Args:
+        option: Name of the setting.
+        path: Its value.
+
+    Raises:
+        ValueError: There is no such file.
+    """
+    if path is not None and not path.is_file():
+        raise ValueError(f"{option} is {path}, and there is no such file")
+
+
+@dataclass(frozen=True)
+class NetSettings(PredictorSettings):
+    """The options of the trajectory network.
+
+    Attributes:
+        horizon: Number T of steps to predict, at most 40.
+        weights: Weights of another training; the shipped ones by default.
+        threads: Threads that the network may use.
+        engine: Who runs the network: ``torch``, or ``onnx``, which is quicker; its files are made
+            with ``dosplan export``.
+    """
+
+    weights: Path | None = None
+    threads: int = 1
+    engine: Engine = Engine.TORCH
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_horizon(self.horizon)
+        check_file("weights", self.weights)
+        if self.threads < 1:
+            raise ValueError(f"threads is {self.threads}, expected 1 or more")
+
+
 class NetPredictor(Predictor):
     """Trajectories of the trained network; parked and static road users stay where they are."""
 
     name = "net-v1"
+    settings = NetSettings
 
-    def __init__(
-        self,
-        *,
-        seed: int = 0,
-        horizon: int = HORIZON,
-        weights: Path | None = None,
-        threads: int = 1,
-        engine: str = Engine.TORCH,
-    ) -> None:
+    def __init__(self, *, seed: int = 0, settings: NetSettings = NetSettings()) -> None:
         """Loads the network.
 
         Args:
             seed: Seed of the run; nothing here is random.
-            horizon: Number T of steps to predict, at most 40.
-            weights: Weights of another training; the shipped ones by default.
-            threads: Threads that the network may use.
-            engine: Who runs the network: ``torch``, or ``onnx``, which is quicker; its files are
-                made with ``dosplan export``.
+            settings: The options.
 
         Raises:
             EngineError: The engine is missing, or cannot run these weights.
-            ValueError: The horizon is longer than the network's.
             WeightsError: The weights cannot be read.
         """
-        super().__init__(seed=seed, horizon=horizon)
-        check_horizon(self.name, horizon)
-        self.encoder = shared_encoder(weights or shipped_weights(), Engine(engine), threads)
+        super().__init__(seed=seed, settings=settings)
+        self._weights = settings.weights or shipped_weights()
+        self.encoder = shared_encoder(self._weights, settings.engine, settings.threads)
 
-    @classmethod
-    def weight_files(cls) -> tuple[Path, ...]:
-        """The shipped network.
+    def weight_files(self) -> tuple[Path, ...]:
+        """The network.
 
         Returns:
             Its file.
         """
-        return (shipped_weights(),)
+        return (self._weights,)
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
         """Reads the map.
@@ -88,20 +127,6 @@ class NetPredictor(Predictor):
         encoded = self.encoder.encode(observation)
         local = encoded.trajectory[:, : self.horizon].astype(np.float64)
         return placed(observation, encoded.moving, local)
-
-
-def check_horizon(name: str, horizon: int) -> None:
-    """Refuses a horizon that the network was not trained for.
-
-    Args:
-        name: Name of the predictor.
-        horizon: Steps that are asked for.
-
-    Raises:
-        ValueError: They are more than ``HORIZON``.
-    """
-    if horizon > HORIZON:
-        raise ValueError(f"{name} predicts {HORIZON} steps at most, asked for {horizon}")
 
 
 def placed(observation: Observation, moving: IntArray, local: FloatArray) -> Occupancy:

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dosplan.api import OraclePredictor, Predictor
-from dosplan.plugins.registry import find_predictor
+from dosplan.api import OraclePredictor, Predictor, PredictorSettings
+from dosplan.plugins.registry import create_predictor
 from dosplan.simulation.world import watch
 from dosplan.types import Observation, Scenario
 from dosplan_simple.predictors import (
@@ -42,7 +42,9 @@ def measure(
         ValueError: A step of the horizon is recorded nowhere.
     """
     total, count, dt = np.zeros(predictor.horizon), np.zeros(predictor.horizon), 0.0
-    truth: OraclePredictor = GroundTruthPredictor(horizon=predictor.horizon)
+    truth: OraclePredictor = GroundTruthPredictor(
+        settings=PredictorSettings(horizon=predictor.horizon)
+    )
     for scenario in scenarios:
         dt = scenario.dt
         truth.reveal(scenario.tracks)
@@ -102,7 +104,7 @@ def main(arguments: list[str] | None = None) -> int:
     folder = f"{parsed.folder.parent.name}/{parsed.folder.name}"
     table = measure(
         (load_recording(ref) for ref in first.values()),
-        find_predictor(parsed.predictor)(horizon=parsed.horizon),
+        create_predictor(parsed.predictor, 0, {"horizon": parsed.horizon}),
         command=(
             f"python -m dosplan_simple.measure {folder} --out {parsed.out.name} "
             f"--horizon {parsed.horizon} --predictor {parsed.predictor}"

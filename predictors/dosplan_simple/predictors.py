@@ -9,7 +9,7 @@ from abc import abstractmethod
 
 import numpy as np
 
-from dosplan.api import OraclePredictor, PluginError, Predictor
+from dosplan.api import OraclePredictor, PluginError, Predictor, PredictorSettings
 from dosplan.geometry import wrap_angle
 from dosplan.types import (
     USER_HEADING,
@@ -173,14 +173,14 @@ class GroundTruthPredictor(OraclePredictor):
 
     name = "ground-truth-v1"
 
-    def __init__(self, *, seed: int = 0, horizon: int = 40) -> None:
+    def __init__(self, *, seed: int = 0, settings: PredictorSettings = PredictorSettings()) -> None:
         """Begins without a recording.
 
         Args:
             seed: Seed of the run; nothing here is random.
-            horizon: Number T of steps to predict.
+            settings: The options.
         """
-        super().__init__(seed=seed, horizon=horizon)
+        super().__init__(seed=seed, settings=settings)
         self._tracks: Tracks | None = None
 
     def reveal(self, tracks: Tracks) -> None:

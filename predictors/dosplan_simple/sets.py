@@ -3,9 +3,11 @@
 The baselines of "Towards Safe and Reliable Autonomous Driving: Dynamic Occupancy Set
 Prediction" (Shao, Xu, Yu, Li, Wang): a fixed radius r; v1, r = z t; v2, r = z r_e(t) with r_e
 the mean displacement error of the trajectory at that step. The trajectory comes from another
-predictor, given by instance::
+predictor, the ``base``::
 
-    GrowingCirclePredictor(z=0.7, base=ConstantTurnRatePredictor())
+    GrowingCirclePredictor(
+        settings=GrowingCircleSettings(z=0.7, base=PluginSpec(ConstantTurnRatePredictor))
+    )
 
 Kinds that do not move (parked, static) keep sets of radius zero.
 """
@@ -17,11 +19,11 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, Self, TypedDict, Unpack
+from typing import Any, Self
 
 import numpy as np
 
-from dosplan.api import Predictor
+from dosplan.api import PluginSpec, Predictor, PredictorSettings
 from dosplan.types import FloatArray, Observation, Occupancy, PlanningTask, RoadMap
 from dosplan_simple.predictors import ConstantVelocityPredictor
 
@@ -88,41 +90,94 @@ class ErrorTable:
         path.write_text(json.dumps(content) + "\n", encoding="utf-8")
 
 
-class CircleOptions(TypedDict, total=False):
-    """What every predictor of circles takes.
+@dataclass(frozen=True)
+class CircleSettings(PredictorSettings):
+    """The options of every predictor of circles.
 
     Attributes:
-        seed: Seed of the run; nothing here is random.
-        horizon: Number T of steps to predict.
-        base: Where the centres come from; constant velocity by default.
+        base: Where the centres come from.
     """
 
-    seed: int
-    horizon: int
-    base: Predictor | None
+    base: PluginSpec[Predictor] = PluginSpec(ConstantVelocityPredictor)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.check_reach(self.base)
+
+
+@dataclass(frozen=True)
+class FixedCircleSettings(CircleSettings):
+    """The options of circles that do not grow.
+
+    Attributes:
+        r: Radius, m.
+    """
+
+    r: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.r < 0.0:
+            raise ValueError(f"r is {self.r}, expected 0 or more")
+
+
+@dataclass(frozen=True)
+class GrowingCircleSettings(CircleSettings):
+    """The options of circles that grow with time.
+
+    Attributes:
+        z: Growth, m/s.
+    """
+
+    z: float = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.z < 0.0:
+            raise ValueError(f"z is {self.z}, expected 0 or more")
+
+
+@dataclass(frozen=True)
+class ErrorCircleSettings(CircleSettings):
+    """The options of circles in proportion to a measured error.
+
+    Attributes:
+        z: Factor on the mean error.
+        table: File of the mean error of ``base``; by default the one that ships, which is there
+            for the trajectory predictors of this project.
+    """
+
+    z: float = 1.0
+    table: Path | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.z < 0.0:
+            raise ValueError(f"z is {self.z}, expected 0 or more")
 
 
 class CirclePredictor(Predictor):
     """Circles around the centres that another predictor foresees."""
 
-    def __init__(self, *, seed: int = 0, horizon: int = 40, base: Predictor | None = None) -> None:
-        """Keeps the trajectory predictor.
+    settings = CircleSettings
+
+    def __init__(self, *, seed: int = 0, settings: CircleSettings = CircleSettings()) -> None:
+        """Builds the trajectory predictor.
 
         Args:
-            seed: Seed of the run; nothing here is random.
-            horizon: Number T of steps to predict.
-            base: Where the centres come from; constant velocity by default.
-
-        Raises:
-            ValueError: ``base`` predicts another number of steps.
+            seed: Seed of the run, for that predictor; nothing here is random.
+            settings: The options.
         """
-        super().__init__(seed=seed, horizon=horizon)
-        self.base = base or ConstantVelocityPredictor(seed=seed, horizon=horizon)
-        if self.base.horizon != horizon:
-            raise ValueError(
-                f"{self.name}: base predicts {self.base.horizon} steps, horizon is {horizon}; "
-                "make them equal"
-            )
+        super().__init__(seed=seed, settings=settings)
+        self.base = settings.base.build(seed)
+
+    def weight_files(self) -> tuple[Path, ...]:
+        """Those of the trajectory predictor.
+
+        Returns:
+            Its files.
+        """
+        return self.base.weight_files()
 
     @abstractmethod
     def radius(self, dt: float) -> FloatArray:
@@ -153,7 +208,7 @@ class CirclePredictor(Predictor):
         Returns:
             The base's centres with circles of the rule's radius.
         """
-        trajectory = self.base.predict(observation)
+        trajectory = self.base.predict(observation).first_steps(self.horizon)
         moves = observation.moves
         radius = moves[:, None] * self.radius(observation.dt)
         return replace(
@@ -167,16 +222,19 @@ class FixedCirclePredictor(CirclePredictor):
     """The same radius at every step."""
 
     name = "fixed-circle-v1"
+    settings = FixedCircleSettings
 
-    def __init__(self, *, r: float = 1.0, **options: Unpack[CircleOptions]) -> None:
+    def __init__(
+        self, *, seed: int = 0, settings: FixedCircleSettings = FixedCircleSettings()
+    ) -> None:
         """Keeps the radius.
 
         Args:
-            r: Radius, m.
-            **options: Seed, horizon and base, see ``CircleOptions``.
+            seed: Seed of the run, for the trajectory predictor.
+            settings: The options.
         """
-        super().__init__(**options)
-        self.r = r
+        super().__init__(seed=seed, settings=settings)
+        self.r = settings.r
 
     def radius(self, dt: float) -> FloatArray:
         """Constant.
@@ -199,16 +257,19 @@ class GrowingCirclePredictor(CirclePredictor):
     """
 
     name = "growing-circle-v1"
+    settings = GrowingCircleSettings
 
-    def __init__(self, *, z: float = 0.5, **options: Unpack[CircleOptions]) -> None:
+    def __init__(
+        self, *, seed: int = 0, settings: GrowingCircleSettings = GrowingCircleSettings()
+    ) -> None:
         """Keeps the growth.
 
         Args:
-            z: Growth, m/s.
-            **options: Seed, horizon and base, see ``CircleOptions``.
+            seed: Seed of the run, for the trajectory predictor.
+            settings: The options.
         """
-        super().__init__(**options)
-        self.z = z
+        super().__init__(seed=seed, settings=settings)
+        self.z = settings.z
 
     def radius(self, dt: float) -> FloatArray:
         """Linear in time.
@@ -226,28 +287,24 @@ class ErrorCirclePredictor(CirclePredictor):
     """A radius in proportion to the trajectory's measured error: r = z r_e(t)."""
 
     name = "error-circle-v1"
+    settings = ErrorCircleSettings
 
     def __init__(
-        self,
-        *,
-        z: float = 1.0,
-        table: ErrorTable | None = None,
-        **options: Unpack[CircleOptions],
+        self, *, seed: int = 0, settings: ErrorCircleSettings = ErrorCircleSettings()
     ) -> None:
-        """Keeps the table.
+        """Reads the table.
 
         Args:
-            z: Factor on the mean error.
-            table: The mean error of ``base``; by default the one that ships, which is there for
-                the trajectory predictors of this project.
-            **options: Seed, horizon and base, see ``CircleOptions``.
+            seed: Seed of the run, for the trajectory predictor.
+            settings: The options.
 
         Raises:
-            ValueError: The table is another predictor's or too short.
+            ValueError: The table cannot be read, is another predictor's or too short.
         """
-        super().__init__(**options)
-        self.z = z
-        self.table = table or ErrorTable.load(shipped_table(self.base.name))
+        super().__init__(seed=seed, settings=settings)
+        self.z = settings.z
+        self._table_file = settings.table or shipped_table(self.base.name)
+        self.table = ErrorTable.load(self._table_file)
         if self.table.predictor != self.base.name:
             raise ValueError(
                 f"{self.name}: the error table is that of {self.table.predictor}, the base is "
@@ -258,6 +315,14 @@ class ErrorCirclePredictor(CirclePredictor):
                 f"{self.name}: the error table ends at step {len(self.table.mean_error)}, "
                 f"horizon is {self.horizon}; measure further or predict less"
             )
+
+    def weight_files(self) -> tuple[Path, ...]:
+        """The table, and the files of the trajectory predictor.
+
+        Returns:
+            The files.
+        """
+        return (self._table_file, *super().weight_files())
 
     def radius(self, dt: float) -> FloatArray:
         """In proportion to the mean error; between the table's steps, interpolated.

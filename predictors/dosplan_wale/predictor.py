@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from dosplan_net.predictor import placed
 
-from dosplan.api import Predictor
+from dosplan.api import Predictor, PredictorSettings
 from dosplan.types import (
     USER_HEADING,
     FloatArray,
@@ -35,10 +35,11 @@ _TOGETHER: Final = 2
 
 
 @dataclass(frozen=True)
-class Settings:
+class WaleNetSettings(PredictorSettings):
     """The options of Wale-Net.
 
     Attributes:
+        horizon: Number T of steps to predict, at most 40.
         coverage: Probability, in (0, 1), that the Gaussian gives the ellipse at each step.
         threads: Threads that the network may use.
     """
@@ -47,6 +48,7 @@ class Settings:
     threads: int = 1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 0.0 < self.coverage < 1.0:
             raise ValueError(f"coverage is {self.coverage}, expected a share between 0 and 1")
         if self.threads < 1:
@@ -57,33 +59,29 @@ class WaleNetPredictor(Predictor):
     """Wale-Net; parked and static road users, which it does not know, stay where they are."""
 
     name = "wale-net-v1"
-    settings = Settings
+    settings = WaleNetSettings
 
-    def __init__(
-        self, *, seed: int = 0, horizon: int = 40, settings: Settings = Settings()
-    ) -> None:
+    def __init__(self, *, seed: int = 0, settings: WaleNetSettings = WaleNetSettings()) -> None:
         """Loads the network.
 
         Args:
             seed: Seed of the run; nothing here is random.
-            horizon: Number T of steps to predict, at most 40.
             settings: The options.
 
         Raises:
             ValueError: The horizon is longer than the network's, or its weights cannot be read.
         """
-        super().__init__(seed=seed, horizon=horizon)
+        super().__init__(seed=seed, settings=settings)
         config = read_config()
         longest = config["out_length"]
-        if horizon > longest:
-            raise ValueError(f"{self.name} predicts {longest} steps at most, asked for {horizon}")
+        if self.horizon > longest:
+            raise ValueError(f"horizon is {self.horizon}, expected {longest} or less")
         self._chosen = settings
         self._steps: int = config["in_length"]
         self._radius: float = config["watch_radius"]
         self._network = open_network(config, shipped_weights())
 
-    @classmethod
-    def weight_files(cls) -> tuple[Path, ...]:
+    def weight_files(self) -> tuple[Path, ...]:
         """The weights of Wale-Net's package.
 
         Returns:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
@@ -17,12 +18,15 @@ from dosplan.cli.listing import ListCommand
 from dosplan.cli.main import main
 from dosplan.report.progress import show_progress
 from dosplan.report.tables import ERRORS_SHOWN, error_lines
+from dosplan.results.folder import RunFolder
+from dosplan.results.recording import load_recording
+from dosplan.results.rows import read_rows
 from dosplan.running.run import RunConfig
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import read_json
 from dosplan.types import Arm
 from tests.support import faulty
-from tests.support.runs import write_reached_and_missed
+from tests.support.runs import write_followed, write_reached_and_missed
 
 FAULTY = Path(faulty.__file__)
 COAST = ["--planner", f"{FAULTY}:CoastPlanner", "--predictor", f"{FAULTY}:StillPredictor"]
@@ -126,15 +130,80 @@ def test_run_prints_the_table_of_a_finished_run(
 
 
 def test_run_tells_planner_failures_by_its_exit_code_and_on_stderr(
-    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    planner = ["--planner", f"{FAULTY}:UnbuildablePlanner", "--limit", "1", "--with-dos"]
+    scenes = write_followed(tmp_path)
+    planner = ["--planner", f"{FAULTY}:FaultyPlanner", "--limit", "1", "--with-dos"]
     out = ["--out", str(tmp_path / "run"), "--workers", "1"]
     assert main(["run", str(scenes), *COAST, *planner, *out]) == cli.FAILED
     assert read_json(tmp_path / "run" / "run.json")["config"]["arms"] == ["with_dos"]
     line = capsys.readouterr().err.splitlines()[-1]
-    assert line.startswith("1 x RegistryError: planner ")
-    assert line.endswith("OSError: the weights are missing [ZAM_Test-0_1_T-1, with_dos]")
+    assert line.startswith("1 x planner faulty-v1: SystemExit: enough (faulty.py:")
+    assert line.endswith("[ZAM_Test-0_1_T-1, with_dos]")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--set", "planner.acceleration=fast"], "option 'acceleration' is 'fast', expected float"),
+        (["--set", "planner.acceleration=10"], "acceleration is 10.0, expected -9 to 9"),
+        (["--set", "planner.aceleration=1"], "did you mean 'acceleration'?"),
+        (["--planner", f"{FAULTY}:UnbuildablePlanner"], "OSError: the weights are missing"),
+        (["--predictor", "dos", "--set", "predictor.threads=many"], "option 'threads' is 'many'"),
+        (["--predictor", "dos", "--set", "predictor.threads=0"], "threads is 0, expected 1 or mo"),
+        (["--predictor", "dos", "--set", "predictor.sets=x"], "there are no sets called 'x'"),
+        (["--predictor", "net", "--set", "predictor.weights=x"], "weights is x, and there is no"),
+        (["--predictor", "dos", "--set", "predictor.base.horizon=40"], "set base=NAME as well"),
+        (["--planner", "mpc", "--set", "planner.horizon=many"], "option 'horizon' is 'many'"),
+        (
+            ["--planner", "mpc", "--set", "predictor.horizon=20"],
+            "planner mpc-v3 looks 30 steps ahead, predictor still-v1 predicts 20; raise",
+        ),
+    ],
+)
+def test_a_wrong_option_is_one_line_and_leaves_no_folder(
+    arguments: list[str],
+    message: str,
+    scenes: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    tuned = ["--planner", f"{FAULTY}:TunedPlanner"]
+    out = ["--out", str(tmp_path / "run"), "--workers", "1"]
+    assert main(["run", str(scenes), *COAST, *tuned, *arguments, *out]) == cli.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sets_are_driven_around_any_predictor(tmp_path: Path) -> None:
+    scenes = write_followed(tmp_path)
+    nested = [
+        "--predictor", "dos", "--set", "predictor.base=constant-velocity",
+        "--set", "predictor.base.horizon=50",
+    ]  # fmt: skip
+    out = ["--out", str(tmp_path / "run"), "--workers", "1"]
+    arguments = ["run", str(scenes), *COAST, *nested, *out]
+    assert main(arguments) == cli.OK
+    run = RunFolder(tmp_path / "run")
+    manifest = read_json(run.manifest)
+    options = {"base": "constant-velocity", "base.horizon": 50}
+    assert manifest["config"]["predictor_options"] == options
+    recorded = manifest["settings"]["predictor"]
+    assert recorded["base"] == {"predictor": "constant-velocity", "options": {"horizon": 50}}
+    assert (recorded["threads"], recorded["engine"]) == (1, "torch")
+    rows = read_rows(run.rows)
+    assert len(rows) == 4
+    for row in (row for row in rows if row.arm is Arm.WITH_DOS):
+        recording = load_recording(run.recording(row.scenario, row.arm))
+        # The car ahead is at 60 m and drives on at 5 m/s; its sets have an extent.
+        ahead = 60.0 + 0.5 * recording.set_offsets
+        np.testing.assert_allclose(recording.set_centres[0, :, 0], ahead, atol=0.01)
+        np.testing.assert_allclose(recording.set_centres[0, :, 1], 0.0, atol=0.01)
+        assert recording.set_semi_axes[0].all()
+    # Everything is there: the same command resumes, another base is another run.
+    assert main(arguments) == cli.OK
+    assert main([*arguments, "--set", "predictor.base.horizon=40"]) == cli.BAD_INPUT
 
 
 def test_each_distinct_error_is_told_once_the_most_frequent_first() -> None:

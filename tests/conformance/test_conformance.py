@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -13,7 +13,7 @@ import pytest
 from dosplan_baseline.cruise import CruisePlanner
 from dosplan_simple.predictors import ConstantVelocityPredictor
 
-from dosplan.api import Planner, Predictor
+from dosplan.api import NoSettings, Planner, PluginSpec, PredictorSettings
 from dosplan.plugins import conformance
 from dosplan.plugins.conformance import Report, check_planner, check_predictor
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
@@ -56,8 +56,8 @@ class GoodPlanner(Planner):
 
 
 class NeedsArgument(GoodPlanner):
-    def __init__(self, weights: str, *, seed: int = 0) -> None:
-        super().__init__(seed=seed)
+    def __init__(self, weights: str, *, seed: int = 0, settings: NoSettings = NoSettings()) -> None:
+        super().__init__(seed=seed, settings=settings)
 
 
 class NotAPlanner:
@@ -189,7 +189,7 @@ BAD_PLANNERS = [
     ("planner", "name", "message"), BAD_PLANNERS, ids=[bad[0].__name__ for bad in BAD_PLANNERS]
 )
 def test_a_bad_planner_fails_at_its_own_rule(
-    planner: Callable[..., Any], name: str, message: str, monkeypatch: pytest.MonkeyPatch
+    planner: type[Any], name: str, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if planner is Sleeper:  # Alone, since a busy machine makes anybody slow.
         monkeypatch.setattr(conformance, "SLOW_SECONDS", 0.03)
@@ -214,9 +214,6 @@ class ForgetsSomebody(GoodPredictor):
 
 
 class FixedHorizon(GoodPredictor):
-    def __init__(self, *, seed: int = 0, horizon: int = 40) -> None:
-        super().__init__(seed=seed, horizon=horizon)
-
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         wanted, self.horizon = self.horizon, 40
         try:
@@ -225,7 +222,7 @@ class FixedHorizon(GoodPredictor):
             self.horizon = wanted
 
 
-class NoHorizon(GoodPredictor):
+class TakesNoSettings(GoodPredictor):
     def __init__(self, *, seed: int = 0) -> None:
         super().__init__(seed=seed)
 
@@ -273,8 +270,8 @@ class Historian(GoodPredictor):
 
 
 BAD_PREDICTORS = [
-    (NoHorizon, "constructs", "unexpected keyword argument 'horizon'"),
-    (GoodPlanner, "constructs", "unexpected keyword argument 'horizon'"),
+    (TakesNoSettings, "constructs", "unexpected keyword argument 'settings'"),
+    (GoodPlanner, "constructs", "is no dosplan.api.Predictor; inherit from it"),
     (ForgetsSomebody, "predicts", "Occupancy.ids must be observation.ids"),
     (PredictsNan, "predicts", "Occupancy.centre holds a NaN"),
     (FixedHorizon, "one_step_horizon", "predicted 40 steps, asked for 1"),
@@ -292,7 +289,7 @@ BAD_PREDICTORS = [
     ids=[bad[0].__name__ for bad in BAD_PREDICTORS],
 )
 def test_a_bad_predictor_fails_at_its_own_rule(
-    predictor: Callable[..., Any], name: str, message: str
+    predictor: type[Any], name: str, message: str
 ) -> None:
     found = failures(check_predictor(predictor))
     assert message in found[name]
@@ -307,20 +304,42 @@ def test_good_plugins_pass_every_check() -> None:
         assert all(check.message == "" for check in report.checks)
 
 
-def test_a_factory_may_be_a_function() -> None:
-    assert check_planner(lambda *, seed: CruisePlanner(seed=seed)).ok
+@dataclass(frozen=True)
+class Braking:
+    """The options of ``Brakes``."""
+
+    deceleration: float = 1.0
 
 
-def test_nothing_but_seed_and_horizon_is_passed() -> None:
-    seen: list[dict[str, int]] = []
+class Brakes(GoodPlanner):
+    """Brakes, as long as it is not told to go backwards."""
 
-    def make(**options: int) -> Predictor:
-        seen.append(options)
-        return ConstantVelocityPredictor(**options)
+    settings = Braking
 
-    assert check_predictor(make).ok
-    assert all(set(options) == {"seed", "horizon"} for options in seen)
-    assert {options["horizon"] for options in seen} == {conformance.HORIZON, 1}
+    def __init__(self, *, seed: int = 0, settings: Braking = Braking()) -> None:
+        super().__init__(seed=seed, settings=settings)
+        self.deceleration = settings.deceleration
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        return plan_of(observation, np.full((3, 2), [0.0, -self.deceleration]))
+
+
+def test_settings_are_checked_with_their_plugin() -> None:
+    assert check_planner(PluginSpec(Brakes)).ok
+    found = failures(check_planner(PluginSpec(Brakes, Braking(deceleration=20.0))))
+    assert "Plan.inputs ask at step 0 for" in found["actuator_limits"]
+
+
+def test_a_predictor_is_checked_at_two_horizons() -> None:
+    seen: list[int] = []
+
+    class Told(GoodPredictor):
+        def __init__(self, *, seed: int = 0, settings: PredictorSettings) -> None:
+            super().__init__(seed=seed, settings=settings)
+            seen.append(settings.horizon)
+
+    assert check_predictor(Told).ok
+    assert set(seen) == {conformance.HORIZON, 1}
 
 
 class Prepared(GoodPlanner):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dosplan_simple.predictors import ConstantVelocityPredictor
 
 from dosplan.cli import main as cli
 from dosplan.cli.main import main
@@ -20,7 +21,7 @@ from dosplan.evaluation.windows import HORIZON_COLUMNS, moments
 from dosplan.plugins.registry import create_predictor
 from dosplan.scenario.synthetic import straight_scenario
 from dosplan.system.files import read_json
-from dosplan.types import FloatArray, RoadUserKind, Scenario
+from dosplan.types import FloatArray, Observation, Occupancy, RoadUserKind, Scenario
 from tests.support import faulty
 from tests.support.factories import steady_tracks
 from tests.support.scenes import User, driving, write_scenario_xml
@@ -153,8 +154,7 @@ def test_a_predictor_that_sees_the_future_is_shown_it() -> None:
 
 
 def test_trajectories_are_shared_by_what_they_are_not_by_name() -> None:
-    base = create_predictor("constant-turn-rate", 0)
-    options: dict[str, Any] = {"base": base}
+    options: dict[str, Any] = {"base": "constant-turn-rate"}
     methods = [*CIRCLES, ("turn", "growing-circle", options)]
     straight, turning = _accelerating(0.0), _accelerating(0.0)
     states = np.array(turning.tracks.states)
@@ -181,10 +181,20 @@ def test_scales_come_from_the_reference() -> None:
     assert [row["cr90"] for row in rows] == [1.0] * 4
 
 
+class GivingUpPredictor(ConstantVelocityPredictor):
+    """Predicts nothing."""
+
+    name = "giving-up-v1"
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        raise RuntimeError("enough")
+
+
 def test_a_failing_predictor_is_named_with_its_place() -> None:
     scenario = _accelerating(0.0)
-    base = create_predictor("ground-truth", 0)
-    with pytest.raises(PredictionError, match=r"method 'x' failed: PluginError: .*\(.*\.py:\d+\)"):
+    base = f"{__name__}:GivingUpPredictor"
+    told = r"method 'x' failed: RuntimeError: enough \(.*\.py:\d+\)"
+    with pytest.raises(PredictionError, match=told):
         _sample(scenario, [("x", "fixed-circle", {"base": base})])
 
 

@@ -87,7 +87,10 @@ def test_a_file_that_is_missing_is_named(tmp_path: Path) -> None:
             "option 'base' has the unknown key 'optoins'; did you mean 'options'?",
         ),
         (Method("a", "constant-velocity", {"horizon": 39}), "give it a horizon of 40"),
-        (Method("a", "growing-circle", {"horizon": 41, "base": {"predictor": "none"}}), "equal"),
+        (
+            Method("a", "growing-circle", {"horizon": 41, "base": {"predictor": "none"}}),
+            "raise base.horizon as well",
+        ),
     ],
 )
 def test_a_method_that_cannot_be_built_is_named(method: Method, message: str) -> None:
@@ -107,16 +110,22 @@ def test_labels_tell_methods_apart() -> None:
 def test_options_of_any_plugin_are_checked_by_the_registry(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
+        "from dataclasses import dataclass\n"
+        "from dosplan.api import PredictorSettings\n"
         "from dosplan_simple.predictors import ConstantVelocityPredictor\n"
+        "@dataclass(frozen=True)\n"
+        "class Settings(PredictorSettings):\n"
+        "    gain: int = 1\n"
         "class Open(ConstantVelocityPredictor):\n"
         "    name = 'open-v1'\n"
-        "    def __init__(self, *, gain=1, **rest):\n"
-        "        super().__init__(**rest)\n"
-        "        self.gain = gain\n"
+        "    settings = Settings\n"
+        "    def __init__(self, *, seed=0, settings=Settings()):\n"
+        "        super().__init__(seed=seed, settings=settings)\n"
+        "        self.gain = settings.gain\n"
     )
     predictor = create_predictor(f"{file}:Open", 5, {"gain": 2, "horizon": 50})
     assert (vars(predictor)["gain"], predictor.horizon, predictor.seed) == (2, 50, 5)
     with pytest.raises(RegistryError, match=r"'gian'; did you mean 'gain'\? \(options: gain, hor"):
         create_predictor(f"{file}:Open", 5, {"gian": 2})
-    with pytest.raises(RegistryError, match="planner 'brake' takes no option 'x'"):
+    with pytest.raises(RegistryError, match="planner 'brake': takes no option 'x'"):
         create_planner("brake", 0, {"x": 1})

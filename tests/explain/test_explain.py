@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import shapely
 
-from dosplan.api import Planner, Predictor
+from dosplan.api import Planner, Predictor, PredictorSettings
 from dosplan.cli.main import BAD_INPUT, OK, main
 from dosplan.explain import Explanation, explain_episode
 from dosplan.explain.collision import CollisionFacts, Course
@@ -83,7 +83,7 @@ class Discs(Predictor):
     name = "discs-v1"
 
     def __init__(self, radius: float, horizon: int = 40) -> None:
-        super().__init__(horizon=horizon)
+        super().__init__(settings=PredictorSettings(horizon=horizon))
         self.radius = radius
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:

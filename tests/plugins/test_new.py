@@ -85,7 +85,7 @@ def test_its_options_are_typed(tmp_path: Path) -> None:
     assert vars(create_planner(spec, 0, {"gap": 12}))["chosen"].gap == 12.0
     with pytest.raises(RegistryError, match=r"no option 'gab'; did you mean 'gap'\?"):
         create_planner(spec, 0, {"gab": 12})
-    with pytest.raises(RegistryError, match="option gap is 'wide', expected float"):
+    with pytest.raises(RegistryError, match="option 'gap' is 'wide', expected float"):
         create_planner(spec, 0, {"gap": "wide"})
     with pytest.raises(RegistryError, match="steps is 0; a plan needs 1 or more"):
         create_planner(spec, 0, {"steps": 0})

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
 from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
-from dosplan_mpc.config import MpcConfig
 
 from dosplan.api import Planner, Predictor
 from dosplan.plugins import registry
@@ -127,29 +125,6 @@ def test_a_broken_file_is_explained_in_one_line(tmp_path: Path, source: str, mes
         find_planner(f"{file}:P")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_option_names_are_checked_without_building() -> None:
-    assert find_planner(f"{FAULTY}:TunedPlanner", ["acceleration"]).name == "tuned-v1"
-    assert find_predictor(f"{FAULTY}:StillPredictor", ["horizon"]).name == "still-v1"
-    with pytest.raises(
-        RegistryError, match=r"no option 'accelerate'; did you mean 'acceleration'\?"
-    ):
-        find_planner(f"{FAULTY}:TunedPlanner", ["acceleration", "accelerate"])
-    with pytest.raises(RegistryError, match=r"no option 'gain' \(options: none\)"):
-        find_planner(f"{FAULTY}:UnbuildablePlanner", ["gain"])
-    with pytest.raises(RegistryError, match="no option 'seed'"):
-        find_predictor(f"{FAULTY}:StillPredictor", ["seed"])
-
-
-def test_options_of_a_settings_class_are_typed() -> None:
-    planner = create_planner("mpc", 3, {"clearance": 1, "horizon": 20})
-    assert planner.seed == 3
-    assert vars(planner)["config"] == replace(MpcConfig(), clearance=1.0, horizon=20)
-    with pytest.raises(RegistryError, match=r"no option 'clearence'; did you mean 'clearance'\?"):
-        find_planner("mpc", ["clearence"])
-    with pytest.raises(RegistryError, match=r"option horizon is 'far', expected int"):
-        create_planner("mpc", 0, {"horizon": "far"})
 
 
 def test_a_constructor_that_raises_is_explained() -> None:

@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 import torch
 from dosplan_dos.commands import EXPORT
-from dosplan_dos.predictor import DosPredictor
+from dosplan_dos.predictor import DosPredictor, DosSettings
 from dosplan_dos.shapes import Variant
-from dosplan_net.engine import EngineError, origin
-from dosplan_net.predictor import NetPredictor
+from dosplan_net.engine import Engine, EngineError, origin
+from dosplan_net.predictor import NetPredictor, NetSettings
 from shapely.geometry import box
 
 from dosplan.cli.command import CommandError
+from dosplan.plugins.registry import RegistryError, choose_predictor
 from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, Occupancy, RoadMap, RoadUserKind
@@ -58,8 +59,8 @@ def predictors(folder: Path, variant: Variant) -> list[DosPredictor]:
     """The same predictor under torch and under onnxruntime."""
     network, sets = folder / "net.safetensors", folder / f"{variant}.safetensors"
     return [
-        DosPredictor(sets=sets, network=network, engine=engine, threads=1)
-        for engine in ("torch", "onnx")
+        DosPredictor(settings=DosSettings(sets=str(sets), network=network, engine=engine))
+        for engine in Engine
     ]
 
 
@@ -130,8 +131,10 @@ def test_both_engines_take_what_is_empty(seen: Observation, folder: Path) -> Non
 def test_the_network_alone_runs_under_both(folder: Path) -> None:
     seen = _seen([[30.0, 0.0, 0.3, 8.0], [60.0, 3.5, 2.0, 0.1]])
     reference, ours = (
-        NetPredictor(weights=folder / "net.safetensors", engine=engine).predict(seen)
-        for engine in ("torch", "onnx")
+        NetPredictor(
+            settings=NetSettings(weights=folder / "net.safetensors", engine=engine)
+        ).predict(seen)
+        for engine in Engine
     )
     assert_same(ours, reference)
     assert not np.any(ours.semi_axes)
@@ -139,7 +142,8 @@ def test_the_network_alone_runs_under_both(folder: Path) -> None:
 
 def test_every_predictor_has_its_own_number_of_threads(folder: Path) -> None:
     before = torch.get_num_threads()
-    two, one = (NetPredictor(weights=folder / "net.safetensors", threads=n) for n in (2, 1))
+    weights = folder / "net.safetensors"
+    two, one = (NetPredictor(settings=NetSettings(weights=weights, threads=n)) for n in (2, 1))
     seen = [_seen([[30.0, 0.0, 0.0, 5.0]]) for _ in range(3)]
     try:
         for predictor, observation, threads in zip((two, one, two), seen, (2, 1, 2), strict=True):
@@ -151,9 +155,10 @@ def test_every_predictor_has_its_own_number_of_threads(folder: Path) -> None:
 
 def test_onnxruntime_needs_no_torch(folder: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from dosplan_dos.predictor import DosPredictor; "
-        f"f = Path({str(folder)!r}); "
-        "DosPredictor(network=f / 'net.safetensors', sets=f / 'free.safetensors', engine='onnx'); "
+        "import sys; from dosplan.plugins.registry import create_predictor; "
+        f"f = {str(folder)!r}; "
+        "create_predictor('dos', 0, {'network': f + '/net.safetensors', "
+        "'sets': f + '/free.safetensors', 'engine': 'onnx'}); "
         "sys.exit('torch' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -170,7 +175,7 @@ def own(tmp_path: Path) -> Path:
 def refusal(weights: Path) -> str:
     """The line that tells why onnxruntime does not run some weights."""
     with pytest.raises(EngineError) as caught:
-        NetPredictor(weights=weights, engine="onnx")
+        NetPredictor(settings=NetSettings(weights=weights, engine=Engine.ONNX))
     line = str(caught.value)
     assert "\n" not in line
     return line
@@ -222,7 +227,7 @@ def test_a_file_that_does_not_fit_is_refused_until_it_is_exported_again(
     assert re.search(why, line)
     _, _, command = line.partition("make it with: dosplan export ")
     export(*shlex.split(command))
-    NetPredictor(weights=own, engine="onnx")
+    NetPredictor(settings=NetSettings(weights=own, engine=Engine.ONNX))
 
 
 def test_missing_packages_are_named(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -233,9 +238,9 @@ def test_missing_packages_are_named(own: Path, monkeypatch: pytest.MonkeyPatch) 
         export("--network", own)
 
 
-def test_an_unknown_engine_is_refused(own: Path) -> None:
-    with pytest.raises(EngineError, match="no engine 'tensor'; choose from torch, onnx"):
-        NetPredictor(weights=own, engine="tensor")
+def test_an_unknown_engine_is_refused() -> None:
+    with pytest.raises(RegistryError, match="'engine' is 'tensor', expected 'torch' or 'onnx'"):
+        choose_predictor("net", {"engine": "tensor"})
 
 
 def test_export_writes_where_it_is_told(own: Path, tmp_path: Path) -> None:

@@ -270,7 +270,21 @@ def test_a_predictor_that_sees_the_future_is_refused_or_marked(
         ({"planner": "no-such"}, RegistryError),
         ({"predictor": "no-such"}, RegistryError),
         ({"planner_options": {"gain": 1.0}}, RegistryError),
+        (
+            {"planner": "TunedPlanner", "planner_options": {"acceleration": "fast"}},
+            RegistryError,
+        ),
+        (
+            {"planner": "TunedPlanner", "planner_options": {"acceleration": 10}},
+            RegistryError,
+        ),
         ({"predictor_options": {"horzion": 10}}, RegistryError),
+        ({"predictor_options": {"horizon": 0}}, RegistryError),
+        ({"planner": "UnbuildablePlanner"}, RegistryError),
+        (
+            {"planner": "FarSightedPlanner", "predictor_options": {"horizon": 10}},
+            RunError,
+        ),
         ({"source": "no-such-folder"}, ScenarioError),
     ],
 )
@@ -278,8 +292,9 @@ def test_bad_input_is_refused_before_a_folder_is_made(
     scenes: Path, tmp_path: Path, change: dict[str, Any], error: type[Exception]
 ) -> None:
     config = _config(tmp_path / "run", scenes, **change)
-    with pytest.raises(error):
+    with pytest.raises(error) as caught:
         run(config)
+    assert "\n" not in str(caught.value)
     assert not config.out.exists()
 
 
@@ -330,24 +345,17 @@ def test_a_failed_plugin_is_made_anew(scenes: Path, tmp_path: Path) -> None:
     assert "broken for good" in str(broken.error)
 
 
-@pytest.mark.parametrize(
-    ("planner", "message"),
-    [
-        ("UnbuildablePlanner", "cannot be built: OSError: the weights are missing"),
-        ("FaultyPlanner", "SystemExit: enough"),
-    ],
-)
 def test_what_a_plugin_raises_is_in_the_row_and_its_traceback_in_a_file(
-    scenes: Path, tmp_path: Path, planner: str, message: str
+    scenes: Path, tmp_path: Path
 ) -> None:
-    config = _config(tmp_path / "run", scenes, planner, arms=(Arm.WITH_DOS,))
+    config = _config(tmp_path / "run", scenes, "FaultyPlanner", arms=(Arm.WITH_DOS,))
     folder = run_here(replace(config, source=str(scenes / "ZAM_Test-5_1_T-1.xml")))
     (row,) = read_rows(folder.rows)
     assert row.outcome is Outcome.PLANNER_FAILURE
-    assert message in str(row.error)
+    assert "SystemExit: enough" in str(row.error)
     trace = folder.traceback(row.scenario, row.arm).read_text()
     assert trace.startswith("Traceback")
-    assert message.split(": ")[-1] in trace
+    assert "enough" in trace
 
 
 def test_a_row_that_cannot_be_written_becomes_one_that_can(

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import dataclass
 
 import numpy as np
 
-from dosplan.api import OraclePredictor, Planner, Predictor
+from dosplan.api import NoSettings, OraclePredictor, Planner, Predictor
 from dosplan.types import EGO_SIZE, FloatArray, Observation, Occupancy, Plan, Tracks
 from dosplan.vehicle import VehicleParameters
 
@@ -39,6 +40,13 @@ class CoastPlanner(Planner):
         return coast(observation)
 
 
+class FarSightedPlanner(CoastPlanner):
+    """Drives on as it started, and wants to know of 3 s."""
+
+    name = "far-sighted-v1"
+    look_ahead = 30
+
+
 class SlowPlanner(Planner):
     """The same, a little late each time."""
 
@@ -58,14 +66,26 @@ class RandomPlanner(Planner):
         return coast(observation, float(np.random.uniform(-1.0, 1.0)))  # noqa: NPY002
 
 
+@dataclass(frozen=True)
+class Tuning:
+    """The options of ``TunedPlanner``."""
+
+    acceleration: float = 0.0
+
+    def __post_init__(self) -> None:
+        if abs(self.acceleration) > 9.0:
+            raise ValueError(f"acceleration is {self.acceleration}, expected -9 to 9")
+
+
 class TunedPlanner(Planner):
     """Accelerates as it is told to."""
 
     name = "tuned-v1"
+    settings = Tuning
 
-    def __init__(self, *, seed: int = 0, acceleration: float = 0.0) -> None:
-        super().__init__(seed=seed)
-        self.acceleration = acceleration
+    def __init__(self, *, seed: int = 0, settings: Tuning = Tuning()) -> None:
+        super().__init__(seed=seed, settings=settings)
+        self.acceleration = settings.acceleration
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
         return coast(observation, self.acceleration)
@@ -100,8 +120,8 @@ class RandomlyMadePlanner(Planner):
 
     name = "randomly-made-v1"
 
-    def __init__(self, *, seed: int = 0) -> None:
-        super().__init__(seed=seed)
+    def __init__(self, *, seed: int = 0, settings: NoSettings = NoSettings()) -> None:
+        super().__init__(seed=seed, settings=settings)
         self.acceleration = float(np.random.uniform(-1.0, 1.0))  # noqa: NPY002
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
@@ -125,7 +145,7 @@ class UnbuildablePlanner(CoastPlanner):
 
     name = "unbuildable-v1"
 
-    def __init__(self, *, seed: int = 0) -> None:
+    def __init__(self, *, seed: int = 0, settings: NoSettings = NoSettings()) -> None:
         raise OSError("the weights are missing")
 
 

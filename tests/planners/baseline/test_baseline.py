@@ -10,15 +10,15 @@ import pytest
 from dosplan_baseline.brake import BrakePlanner
 from dosplan_baseline.cruise import CruisePlanner
 from dosplan_baseline.idm import (
-    FULL_BRAKING,
     IdmPlanner,
+    IdmSettings,
     find_leaders,
     idm_acceleration,
     set_corners,
 )
 from dosplan_baseline.tracking import bend_speed, extended_path, roll_out
 from dosplan_simple.predictors import ConstantVelocityPredictor, NonePredictor
-from dosplan_simple.sets import GrowingCirclePredictor
+from dosplan_simple.sets import GrowingCirclePredictor, GrowingCircleSettings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon, box
@@ -132,18 +132,19 @@ def test_cruise_keeps_its_speed_whoever_is_in_the_way(velocity: float) -> None:
 
 
 NOBODY = np.empty(0)
+IDM = IdmSettings()
 SELDOM = SimulationConfig(replan_every=5)  # For speed: the model sees its leader in the plan.
 
 
 def test_idm_has_its_free_roads_and_its_queues_equilibrium() -> None:
-    assert idm_acceleration(15.0, 15.0, NOBODY, NOBODY) == 0.0
-    assert idm_acceleration(0.0, 15.0, NOBODY, NOBODY) == 1.0  # a, from standstill.
-    assert idm_acceleration(20.0, 15.0, NOBODY, NOBODY) < 0.0
+    assert idm_acceleration(15.0, 15.0, NOBODY, NOBODY, IDM) == 0.0
+    assert idm_acceleration(0.0, 15.0, NOBODY, NOBODY, IDM) == 1.0  # a, from standstill.
+    assert idm_acceleration(20.0, 15.0, NOBODY, NOBODY, IDM) < 0.0
     # Standing 2 m (the least gap) behind a standing car: 1 - (2 / 2)^2 = 0.
-    assert idm_acceleration(0.0, 15.0, np.array([2.0]), np.zeros(1)) == pytest.approx(0.0)
+    assert idm_acceleration(0.0, 15.0, np.array([2.0]), np.zeros(1), IDM) == pytest.approx(0.0)
     # At 10 m/s behind as fast a leader the gap is (s0 + v T) / sqrt(1 - (v / v0)^4).
     gap = np.array([12.0 / math.sqrt(1.0 - (10.0 / 15.0) ** 4)])
-    assert idm_acceleration(10.0, 15.0, gap, np.array([10.0])) == pytest.approx(0.0, abs=1e-9)
+    assert idm_acceleration(10.0, 15.0, gap, np.array([10.0]), IDM) == pytest.approx(0.0, abs=1e-9)
 
 
 @given(
@@ -155,9 +156,9 @@ def test_idm_has_its_free_roads_and_its_queues_equilibrium() -> None:
 def test_idm_is_bounded_and_brakes_no_less_for_less_room(
     velocity: float, gap: float, leader: float, more: float
 ) -> None:
-    near = idm_acceleration(velocity, 15.0, np.array([gap]), np.array([leader]))
-    far = idm_acceleration(velocity, 15.0, np.array([gap + more]), np.array([leader]))
-    assert -FULL_BRAKING <= near <= far <= 1.0
+    near = idm_acceleration(velocity, 15.0, np.array([gap]), np.array([leader]), IDM)
+    far = idm_acceleration(velocity, 15.0, np.array([gap + more]), np.array([leader]), IDM)
+    assert -IDM.full_braking <= near <= far <= 1.0
 
 
 def leaders_of(scenario: Scenario, occupancy: Occupancy | None = None) -> tuple[float, float]:
@@ -165,7 +166,7 @@ def leaders_of(scenario: Scenario, occupancy: Occupancy | None = None) -> tuple[
     seen = World(scenario, first_step=0, history=5).observation()
     sets = ConstantVelocityPredictor().predict(seen) if occupancy is None else occupancy
     path = extended_path(scenario.task.route)
-    found = find_leaders(path, seen, sets, VEHICLE)
+    found = find_leaders(path, seen, sets, VEHICLE, IDM)
     if not len(found.rear):
         return math.nan, math.nan
     nearest = int(np.argmin(found.rear))
@@ -197,7 +198,7 @@ def test_who_cuts_in_within_the_time_gap_is_a_leader() -> None:
 def test_sets_widen_what_blocks() -> None:
     scenario = straight_scenario(steady_tracks([[30.0, 2.5, 0.0, 8.0]]))
     seen = World(scenario, first_step=0, history=5).observation()
-    grown = GrowingCirclePredictor(z=1.0).predict(seen)
+    grown = GrowingCirclePredictor(settings=GrowingCircleSettings(z=1.0)).predict(seen)
     gap, velocity = leaders_of(scenario, grown)
     assert math.isnan(leaders_of(scenario, grown.without_sets())[0])
     # In the corridor from a radius of 0.6 m on; after 1 s the set reaches 1 m to the rear.

@@ -13,6 +13,7 @@ from dosplan_simple.predictors import ConstantVelocityPredictor
 from dosplan_simple.sets import ErrorCirclePredictor
 from shapely.geometry import box
 
+from dosplan.api import PredictorSettings
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
@@ -27,7 +28,7 @@ def drive(
     velocity: float,
     goals: Sequence[GoalState],
     arm: Arm = Arm.WITH_DOS,
-    config: MpcConfig | None = None,
+    config: MpcConfig = MpcConfig(),
 ) -> tuple[Scenario, Episode]:
     last = max(goal.last_step for goal in goals)
     scenario = straight_scenario(
@@ -101,9 +102,8 @@ def test_fallback_is_declared_and_drives_on() -> None:
 
 def test_short_sets_are_a_named_failure() -> None:
     scenario = straight_scenario(velocity=10.0)
-    episode = run_episode(
-        scenario, MpcPlanner(), ConstantVelocityPredictor(horizon=10), Arm.WITH_DOS
-    )
+    short = ConstantVelocityPredictor(settings=PredictorSettings(horizon=10))
+    episode = run_episode(scenario, MpcPlanner(), short, Arm.WITH_DOS)
     assert episode.end is EpisodeEnd.PLANNER_FAILURE
     assert episode.error is not None
     assert "raise the predictor's horizon" in episode.error

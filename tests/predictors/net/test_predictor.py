@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from dosplan_net.predictor import NetPredictor, placed
-from dosplan_net.weights import WeightsError
+from dosplan_net.predictor import NetPredictor, NetSettings, placed
 
+from dosplan.api import PluginSpec
 from dosplan.plugins.conformance import check_predictor
 from dosplan.scenario.synthetic import busy_scenario, crowded_scenario
 from dosplan.types import FloatArray, RoadUserKind
@@ -23,7 +22,7 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_it_keeps_the_contract(network: Path) -> None:
-    report = check_predictor(partial(NetPredictor, weights=network))
+    report = check_predictor(PluginSpec(NetPredictor, NetSettings(weights=network)))
     assert report.ok, report.failures
 
 
@@ -33,7 +32,7 @@ def test_what_cannot_move_stays(network: Path, kind: RoadUserKind) -> None:
         [[5.0, 3.0, 0.7, 8.0], [30.0, 0.0, 0.0, 8.0]], kinds=[kind, RoadUserKind.CAR]
     )
     observation = seen_at(tracks, 40)
-    sets = NetPredictor(weights=network).predict(observation)
+    sets = NetPredictor(settings=NetSettings(weights=network)).predict(observation)
     now = observation.states[:, -1]
     np.testing.assert_array_equal(sets.centre[0], np.tile(now[0, :2], (40, 1)))
     np.testing.assert_array_equal(sets.heading[0], np.full(40, 0.7))
@@ -44,26 +43,28 @@ def test_predictions_turn_with_the_scene(network: Path) -> None:
     here = seen(crowded_scenario())
     angle, shift = 2.1, np.array([300.0, -150.0])
     there = moved(here, angle, shift)
-    one, other = (NetPredictor(weights=network).predict(o) for o in (here, there))
+    one, other = (
+        NetPredictor(settings=NetSettings(weights=network)).predict(o) for o in (here, there)
+    )
     np.testing.assert_allclose(other.centre, turned(one.centre, angle) + shift, atol=1e-3)
     np.testing.assert_allclose(other.heading, one.heading + angle, atol=1e-3)
 
 
 def test_a_shorter_horizon_is_the_beginning(network: Path) -> None:
     observation = seen(busy_scenario())
-    whole = NetPredictor(weights=network).predict(observation)
-    part = NetPredictor(weights=network, horizon=7).predict(observation)
+    whole = NetPredictor(settings=NetSettings(weights=network)).predict(observation)
+    part = NetPredictor(settings=NetSettings(weights=network, horizon=7)).predict(observation)
     np.testing.assert_allclose(part.centre, whole.centre[:, :7], atol=1e-5)
 
 
-def test_a_horizon_beyond_training_is_refused(network: Path) -> None:
-    with pytest.raises(ValueError, match="net-v1 predicts 40 steps at most, asked for 41"):
-        NetPredictor(weights=network, horizon=41)
+def test_a_horizon_beyond_training_is_refused() -> None:
+    with pytest.raises(ValueError, match="horizon is 41, expected 40 or less"):
+        NetSettings(horizon=41)
 
 
 def test_missing_weights_are_named(tmp_path: Path) -> None:
-    with pytest.raises(WeightsError, match=r"absent\.safetensors: not readable"):
-        NetPredictor(weights=tmp_path / "absent.safetensors")
+    with pytest.raises(ValueError, match=r"weights is .*absent\.safetensors, and there is no such"):
+        NetSettings(weights=tmp_path / "absent.safetensors")
 
 
 def headings(local: FloatArray, present: float = 0.4) -> FloatArray:

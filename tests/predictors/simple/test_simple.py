@@ -20,18 +20,22 @@ from dosplan_simple.predictors import (
 )
 from dosplan_simple.sets import (
     ErrorCirclePredictor,
+    ErrorCircleSettings,
     ErrorTable,
     FixedCirclePredictor,
+    FixedCircleSettings,
     GrowingCirclePredictor,
+    GrowingCircleSettings,
     shipped_table,
 )
 
-from dosplan.api import PluginError, Predictor
+from dosplan.api import PluginError, PluginSpec, Predictor, PredictorSettings
 from dosplan.scenario.synthetic import busy_scenario, crowded_scenario
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, RoadUserKind, Tracks
 from tests.support.factories import steady_tracks, straight_scenario
 
+SHORT = ConstantVelocityPredictor(settings=PredictorSettings(horizon=3))
 CV_TABLE = ErrorTable("constant-velocity-v1", 0.1, (0.5, 1.0, 2.0), (9, 9, 9), "by hand")
 
 
@@ -56,7 +60,7 @@ def with_headings(tracks: Tracks, heading: FloatArray, velocity: float) -> Track
 
 def test_constant_velocity_is_exact_on_a_straight_line() -> None:
     tracks = steady_tracks([[5.0, 3.0, 0.7, 8.0], [0.0, 0.0, -2.0, 1.0]])
-    sets = ConstantVelocityPredictor(horizon=40).predict(seen_at(tracks, 20))
+    sets = ConstantVelocityPredictor().predict(seen_at(tracks, 20))
     np.testing.assert_allclose(sets.centre, tracks.states[:, 21:61, :2], atol=1e-9)
     np.testing.assert_allclose(sets.heading, tracks.states[:, 21:61, 2])
     assert not sets.semi_axes.any()
@@ -66,7 +70,7 @@ def test_constant_velocity_is_exact_on_a_straight_line() -> None:
 def test_constant_turn_rate_is_exact_on_a_circle(radius: float, velocity: float) -> None:
     # 6 m/s on 20 m is 1.8 m/s2, 15 m/s on 100 m 2.25 m/s2: both below the limit.
     tracks = circle_tracks(radius, velocity)
-    sets = ConstantTurnRatePredictor(horizon=40).predict(seen_at(tracks, 20))
+    sets = ConstantTurnRatePredictor().predict(seen_at(tracks, 20))
     np.testing.assert_allclose(sets.centre, tracks.states[:, 21:61, :2], atol=1e-6)
     np.testing.assert_allclose(sets.heading, tracks.states[:, 21:61, 2], atol=1e-6)
 
@@ -75,15 +79,15 @@ def test_constant_turn_rate_is_not_upset_by_the_jump_of_a_wrapped_heading() -> N
     tracks = circle_tracks(20.0, 6.0, first=math.pi - 0.6)  # It passes pi at step 20.
     states = np.array(tracks.states)
     states[..., 2] = (states[..., 2] + np.pi) % (2.0 * np.pi) - np.pi
-    sets = ConstantTurnRatePredictor(horizon=40).predict(
-        seen_at(replace(tracks, states=states), 21)
-    )
+    sets = ConstantTurnRatePredictor().predict(seen_at(replace(tracks, states=states), 21))
     np.testing.assert_allclose(sets.centre, tracks.states[:, 22:62, :2], atol=1e-6)
 
 
 def turned(tracks: Tracks, step: int = 20) -> float:
     """Heading change that is predicted over 1 s, rad."""
-    sets = ConstantTurnRatePredictor(horizon=10).predict(seen_at(tracks, step))
+    sets = ConstantTurnRatePredictor(settings=PredictorSettings(horizon=10)).predict(
+        seen_at(tracks, step)
+    )
     return float(sets.heading[0, -1] - tracks.states[0, step, 2])
 
 
@@ -148,7 +152,9 @@ def test_what_is_parked_stays_and_has_no_set(predictor: Predictor, kind: RoadUse
 
 
 def test_none_predicts_nobody() -> None:
-    sets = NonePredictor(horizon=7).predict(seen_at(busy_scenario().tracks, 40))
+    sets = NonePredictor(settings=PredictorSettings(horizon=7)).predict(
+        seen_at(busy_scenario().tracks, 40)
+    )
     assert sets.valid.shape == (4, 7)
     assert not sets.valid.any()
 
@@ -158,7 +164,7 @@ def test_ground_truth_is_the_recording_and_ends_with_it() -> None:
     valid = np.array(tracks.valid)
     valid[0, 95:] = False
     tracks = replace(tracks, valid=valid, states=np.where(valid[..., None], tracks.states, np.nan))
-    predictor = GroundTruthPredictor(horizon=20)
+    predictor = GroundTruthPredictor(settings=PredictorSettings(horizon=20))
     predictor.reveal(tracks)
     sets = predictor.predict(seen_at(tracks, 90))
     np.testing.assert_array_equal(sets.valid, [[True] * 4 + [False] * 16])
@@ -170,7 +176,7 @@ def test_ground_truth_finds_road_users_by_id() -> None:
     shuffled = replace(tracks, ids=np.array([7, 3, 9, 1]))
     valid = np.array(shuffled.valid)
     valid[0] = False
-    predictor = GroundTruthPredictor(horizon=5)
+    predictor = GroundTruthPredictor(settings=PredictorSettings(horizon=5))
     predictor.reveal(shuffled)
     sets = predictor.predict(seen_at(replace(shuffled, valid=valid), 40))
     assert list(sets.ids) == [3, 9, 1]
@@ -188,7 +194,9 @@ def test_fixed_circle_has_one_radius() -> None:
 
 
 def test_growing_circle_is_z_times_t() -> None:
-    sets = GrowingCirclePredictor(z=0.7).predict(seen_at(crowded_scenario().tracks, 40))
+    sets = GrowingCirclePredictor(settings=GrowingCircleSettings(z=0.7)).predict(
+        seen_at(crowded_scenario().tracks, 40)
+    )
     # 0.7 m after 1 s, 2.8 m after 4 s.
     np.testing.assert_allclose(sets.semi_axes[:, 9], 0.7)
     np.testing.assert_allclose(sets.semi_axes[:, 39], 2.8)
@@ -200,31 +208,40 @@ def test_growing_circles_leave_room_in_the_next_lane_by_default() -> None:
     np.testing.assert_allclose(sets.semi_axes[:, 39], 2.0)
 
 
-def test_error_circle_is_z_times_the_measured_error() -> None:
+def test_error_circle_is_z_times_the_measured_error(tmp_path: Path) -> None:
     observation = seen_at(crowded_scenario().tracks, 40)
-    sets = ErrorCirclePredictor(horizon=3, z=1.5, table=CV_TABLE).predict(observation)
+    table = tmp_path / "table.json"
+    CV_TABLE.dump(table)
+    settings = ErrorCircleSettings(horizon=3, table=table)
+    sets = ErrorCirclePredictor(settings=replace(settings, z=1.5)).predict(observation)
     np.testing.assert_allclose(sets.semi_axes[7, :, 0], [0.75, 1.5, 3.0])
-    half = replace(CV_TABLE, dt=0.2)  # Steps of 0.2 s: after 0.1 s half of the first error.
-    sets = ErrorCirclePredictor(horizon=3, table=half).predict(observation)
+    replace(CV_TABLE, dt=0.2).dump(table)  # After 0.1 s half of the first error.
+    sets = ErrorCirclePredictor(settings=settings).predict(observation)
     np.testing.assert_allclose(sets.semi_axes[7, :, 0], [0.25, 0.5, 0.75])
 
 
-def test_error_circle_wants_the_table_of_its_base() -> None:
+def test_error_circle_wants_the_table_of_its_base(tmp_path: Path) -> None:
+    table = tmp_path / "table.json"
+    CV_TABLE.dump(table)
+    turning: PluginSpec[Predictor] = PluginSpec(ConstantTurnRatePredictor)
+    settings = ErrorCircleSettings(horizon=3, table=table)
     with pytest.raises(ValueError, match=r"that of constant-velocity-v1, the base is .*turn"):
-        ErrorCirclePredictor(horizon=3, base=ConstantTurnRatePredictor(horizon=3), table=CV_TABLE)
+        ErrorCirclePredictor(settings=replace(settings, base=turning))
     with pytest.raises(ValueError, match="ends at step 3, horizon is 4"):
-        ErrorCirclePredictor(horizon=4, table=CV_TABLE)
+        ErrorCirclePredictor(settings=replace(settings, horizon=4))
 
 
 def test_circles_lie_around_any_trajectory() -> None:
     tracks = circle_tracks(20.0, 6.0)
-    truth = GroundTruthPredictor(horizon=20)
-    truth.reveal(tracks)
-    sets = FixedCirclePredictor(horizon=20, base=truth).predict(seen_at(tracks, 90))
+    truth: PluginSpec[Predictor] = PluginSpec(GroundTruthPredictor, PredictorSettings(horizon=20))
+    circles = FixedCirclePredictor(settings=FixedCircleSettings(horizon=20, base=truth))
+    assert isinstance(circles.base, GroundTruthPredictor)
+    circles.base.reveal(tracks)
+    sets = circles.predict(seen_at(tracks, 90))
     np.testing.assert_array_equal(sets.centre[0, :10], tracks.states[0, 91:101, :2])
     np.testing.assert_array_equal(sets.valid[0], [True] * 10 + [False] * 10)
     with pytest.raises(ValueError, match="base predicts 20 steps, horizon is 40"):
-        FixedCirclePredictor(base=truth)
+        FixedCircleSettings(base=truth)
 
 
 def test_the_shipped_table_grows_and_names_its_command() -> None:
@@ -246,7 +263,7 @@ def test_measure_finds_a_known_error(tmp_path: Path) -> None:
     states = np.array(tracks.states)
     states[..., 3] = 2.0
     scenario = straight_scenario(replace(tracks, states=states))
-    table = measure([scenario], ConstantVelocityPredictor(horizon=3), command="test")
+    table = measure([scenario], SHORT, command="test")
     np.testing.assert_allclose(table.mean_error, [0.2, 0.4, 0.6])
     assert table.samples == (10, 10, 10)  # Steps 0, 10, .. 90; at 100 the recording ends.
     table.dump(tmp_path / "table.json")
@@ -257,7 +274,7 @@ def test_measure_finds_a_known_error(tmp_path: Path) -> None:
 def test_measure_refuses_a_horizon_beyond_every_recording() -> None:
     scenario = straight_scenario(steady_tracks([[0.0, 0.0, 0.0, 1.0]], steps=3))
     with pytest.raises(ValueError, match="nobody is recorded 3 steps on"):
-        measure([scenario], ConstantVelocityPredictor(horizon=3))
+        measure([scenario], SHORT)
 
 
 @pytest.mark.parametrize("text", ["{", "{}", json.dumps({"predictor": "a", "dt": 0.1})])

@@ -207,11 +207,11 @@ def test_options_that_make_no_sense_are_refused(options: dict[str, Any], message
 
 
 def test_more_than_its_horizon_is_refused() -> None:
-    from dosplan_wale.predictor import WaleNetPredictor
+    from dosplan_wale.predictor import WaleNetPredictor, WaleNetSettings
 
-    WaleNetPredictor(horizon=40)
-    with pytest.raises(ValueError, match="predicts 40 steps at most, asked for 41"):
-        WaleNetPredictor(horizon=41)
+    WaleNetPredictor()
+    with pytest.raises(ValueError, match="horizon is 41, expected 40 or less"):
+        WaleNetPredictor(settings=WaleNetSettings(horizon=41))
 
 
 class Bomb:

@@ -22,7 +22,7 @@ from dosplan.results.markdown import markdown
 from dosplan.results.paired import Difference
 from dosplan.results.rows import LATER
 from dosplan.results.summary import ArmSummary, RunTitle, Summary
-from dosplan.scoring.metrics import METRICS
+from dosplan.scoring import metrics
 from dosplan.system.provenance import Machine
 from dosplan.types import Score
 
@@ -91,7 +91,7 @@ def metrics_page() -> str:
             metric.better.value,
             metric.definition,
         ]
-        for metric in METRICS
+        for metric in metrics.METRICS
     ]
     return f"{_METRICS_HEAD}\n\n{markdown(headings, rows, numbers=False)}\n"
 

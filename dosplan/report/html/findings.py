@@ -19,7 +19,7 @@ from dosplan.results.intervals import mean_interval, share_interval
 from dosplan.results.markdown import interval_text
 from dosplan.results.paired import Difference
 from dosplan.scoring import metrics
-from dosplan.scoring.metrics import Aggregate, Metric, find_metric
+from dosplan.scoring.metrics import Aggregate, Group, Metric, find_metric
 from dosplan.types import STEP_SECONDS, FloatArray, Outcome, Score
 
 _LOOK_AHEAD: Final = (1.0, 2.0, 3.0)  # s; where coverage is given beside collisions.
@@ -34,21 +34,21 @@ def headline(pairing: Pairing, cases: Sequence[Case]) -> list[dict[str, Any]]:
         cases: Its cases; percentiles of cycle times are of those that were read.
 
     Returns:
-        Rows of ``title``, ``sides`` (a value and its interval each) and ``difference``
-        (cells, empty where there is none). A metric without a value on any side is left out.
+        Rows of ``title``, ``sides`` (a value and its interval each) and ``difference`` (cells,
+        empty where there is none). Left out are a metric without a value on any side, and what of
+        the solver is zero on all of them.
     """
     cycles = [pooled_cycle_ms(cases, side) for side in range(len(pairing.sides))]
     rows = []
     for metric in metrics.METRICS:
-        sides = [
-            _figure(metric, tuple(side.rows.values()), times)
-            for side, times in zip(pairing.sides, cycles, strict=True)
-        ]
-        if any(cell["value"] != "-" for cell in sides):
+        held = [tuple(side.rows.values()) for side in pairing.sides]
+        figures = [metric.summarise(*side) for side in zip(held, cycles, strict=True)]
+        absent = (None, 0.0) if metric.group is Group.SOLVER else (None,)
+        if any(figure not in absent for figure in figures):
             rows.append(
                 {
                     "title": metric.long_heading,
-                    "sides": sides,
+                    "sides": [_cell(metric, *side) for side in zip(held, figures, strict=True)],
                     "difference": _difference(metric, pairing),
                 }
             )
@@ -247,9 +247,8 @@ def _covered(coverage: Iterable[Coverage], seconds: float) -> str:
     return f"{100.0 * found.inside / found.counted:.1f}"
 
 
-def _figure(metric: Metric, rows: Sequence[Score], cycle_ms: FloatArray) -> dict[str, str]:
+def _cell(metric: Metric, rows: Sequence[Score], figure: float | None) -> dict[str, str]:
     """A metric on one side: its figure, and the 95 % interval of a share or a mean."""
-    figure = metric.summarise(rows, cycle_ms)
     interval = None
     if figure is not None and metric.aggregate is Aggregate.SHARE:
         values = metric.values(rows)

@@ -19,7 +19,7 @@ from pebble import ProcessExpired
 
 from dosplan.api import Predictor
 from dosplan.evaluation.limits import MAX_RATIO
-from dosplan.evaluation.methods import Method, build, check_labels
+from dosplan.evaluation.methods import Method, build, check_labels, settings
 from dosplan.evaluation.metrics import COVERAGE
 from dosplan.evaluation.samples import FileSamples, PredictionError, sample_file
 from dosplan.evaluation.summary import scales, summarise
@@ -121,7 +121,7 @@ def evaluate(
             "max_ratio": MAX_RATIO,
             "seed": config.seed,
             "methods": [
-                {**asdict(method), "name": name}
+                {**asdict(method), "name": name, "settings": settings(method)}
                 for method, name in zip(config.methods, names, strict=True)
             ],
             **asdict(describe_environment()),

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from dosplan.api import Predictor
 from dosplan.evaluation.windows import STEPS
-from dosplan.plugins.registry import RegistryError, create_predictor
+from dosplan.plugins.registry import RegistryError, choose_predictor, create_predictor, record
 from dosplan.system.errors import DosplanError, did_you_mean
 from dosplan.system.yaml_text import YamlError, parse_yaml
 
@@ -108,6 +108,21 @@ def build(method: Method, seed: int) -> Predictor:
             f"give it a horizon of {STEPS}"
         )
     return predictor
+
+
+def settings(method: Method) -> dict[str, Any]:
+    """All settings of a method's predictor, defaults included.
+
+    Args:
+        method: The method.
+
+    Returns:
+        What JSON can hold.
+
+    Raises:
+        RegistryError: There is no such predictor, or an option is wrong.
+    """
+    return record(choose_predictor(method.predictor, method.options))
 
 
 def _method(entry: Any, where: str) -> Method:

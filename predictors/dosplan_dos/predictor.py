@@ -56,9 +56,9 @@ class DosSettings(PredictorSettings):
             name ends with ``.safetensors``.
         scale: Factor on the semi-axes, such as the number of standard deviations of ``pr``; by
             default a half, which did best in closed loop on training and validation scenarios:
-            sets that cover nine in ten block lanes that are free.
-        coverage: Share of the true centres that the sets are to cover, in (0, 1); the sets are
-            calibrated on recordings for it; not together with ``scale``.
+            sets that cover nine in ten block lanes that are free. Not used with ``coverage``.
+        coverage: Share of the true centres that the sets are to cover, in (0, 1), in place of
+            ``scale``; the sets are calibrated on recordings for it.
         simultaneous: Whether to cover all steps of the horizon at once with that probability,
             instead of each step.
         base: Where the centres come from; by default the network of ``network``.
@@ -70,7 +70,7 @@ class DosSettings(PredictorSettings):
     """
 
     sets: str = DEFAULT_SETS
-    scale: float | None = None
+    scale: float = DEFAULT_SCALE
     coverage: float | None = None
     simultaneous: bool = False
     base: PluginSpec[Predictor] | None = None
@@ -81,9 +81,9 @@ class DosSettings(PredictorSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_horizon(self.horizon)
-        if self.scale is not None and self.coverage is not None:
+        if self.coverage is not None and self.scale != DEFAULT_SCALE:
             raise ValueError("give a scale or a coverage, not both")
-        if self.scale is not None and self.scale < 0.0:
+        if self.scale < 0.0:
             raise ValueError(f"scale is {self.scale}, expected 0 or more")
         if self.coverage is not None and not 0.0 < self.coverage < 1.0:
             raise ValueError(f"coverage is {self.coverage}, expected a share between 0 and 1")
@@ -141,8 +141,7 @@ class DosPredictor(Predictor):
         self.base: Predictor = (settings.base or own).build(seed)
         self.coverage = coverage = settings.coverage
         # Calibrated factors are for the sets as they were trained.
-        plain = 1.0 if coverage is not None else DEFAULT_SCALE
-        self.scale = plain if settings.scale is None else settings.scale
+        self.scale = settings.scale if coverage is None else 1.0
         self._files = (settings.network or shipped_weights(), settings.sets_file)
         network, sets = self._files
         self._module = shared_module(sets, settings.engine, settings.threads)

@@ -6,6 +6,7 @@ Road users of the kinds parked and static stay where they are, whatever velocity
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,11 +24,6 @@ from dosplan.types import (
 )
 
 WALKING_KINDS = frozenset({RoadUserKind.PEDESTRIAN})
-
-TURN_WINDOW = 6  # Steps whose headings give the turn rate: 0.5 s.
-TURN_SAMPLES = 3  # Fewer valid headings than this say nothing about noise.
-TURN_RADIUS = 5.0  # m; no road vehicle turns tighter, and a slow one must not spin.
-TURN_ACCELERATION = 4.0  # m/s2; lateral acceleration that everyday traffic does not exceed.
 
 
 def of_kind(observation: Observation, kinds: frozenset[RoadUserKind]) -> BoolArray:
@@ -122,16 +118,53 @@ class ConstantVelocityPredictor(KinematicPredictor):
         return np.zeros(len(observation.ids))
 
 
+@dataclass(frozen=True)
+class TurnRateSettings(PredictorSettings):
+    """The options of the constant turn rate.
+
+    Attributes:
+        window: Number of steps whose headings give the turn rate; the default is half a second.
+        least_headings: Number of valid headings below which nobody is taken to turn.
+        tightest_radius: Least turning radius, m; a slow vehicle must not spin.
+        lateral_acceleration: Largest lateral acceleration, m/s2; everyday traffic stays below.
+    """
+
+    window: int = 6
+    least_headings: int = 3
+    tightest_radius: float = 5.0
+    lateral_acceleration: float = 4.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("window", "least_headings"):
+            if getattr(self, name) < 2:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected 2 or more")
+        for name in ("tightest_radius", "lateral_acceleration"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected more than 0")
+
+
 class ConstantTurnRatePredictor(KinematicPredictor):
     """Everybody keeps the present velocity and the turn rate of the last half second.
 
     The rate is the slope of a straight line fitted to the headings by least squares. It is cut
-    to what a road vehicle does: a turning radius of at least 5 m and a lateral acceleration of
-    at most 4 m/s2, so that noise spins neither a slow vehicle nor a fast one. Pedestrians, who
-    look about, are taken to walk straight on.
+    to what a road vehicle does, in turning radius and in lateral acceleration, so that noise spins
+    neither a slow vehicle nor a fast one. Pedestrians, who look about, are taken to walk straight
+    on.
     """
 
     name = "constant-turn-rate-v1"
+    settings = TurnRateSettings
+
+    def __init__(self, *, seed: int = 0, settings: TurnRateSettings = TurnRateSettings()) -> None:
+        """Keeps the settings.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            settings: The options.
+        """
+        super().__init__(seed=seed, settings=settings)
+        self._settings = settings
 
     def turn_rate(self, observation: Observation) -> FloatArray:
         """Least-squares slope of the recent headings.
@@ -142,8 +175,9 @@ class ConstantTurnRatePredictor(KinematicPredictor):
         Returns:
             (N,) rad/s.
         """
-        recent = observation.states[:, -TURN_WINDOW:]
-        weight = observation.valid[:, -TURN_WINDOW:].astype(np.float64)
+        settings = self._settings
+        recent = observation.states[:, -settings.window :]
+        weight = observation.valid[:, -settings.window :].astype(np.float64)
         time = observation.dt * np.arange(1 - recent.shape[1], 1)
         # Relative to the present heading: no jump of 2 pi can enter the fit.
         turned = wrap_angle(recent[..., USER_HEADING] - recent[:, -1:, USER_HEADING])
@@ -151,7 +185,7 @@ class ConstantTurnRatePredictor(KinematicPredictor):
         samples = weight.sum(axis=1)
         offset = time - (weight @ time / samples)[:, None]
         spread = (weight * offset**2).sum(axis=1)
-        known = (samples >= TURN_SAMPLES) & ~of_kind(observation, WALKING_KINDS)
+        known = (samples >= settings.least_headings) & ~of_kind(observation, WALKING_KINDS)
         slope = np.divide(
             (weight * offset * turned).sum(axis=1),
             spread,
@@ -159,8 +193,8 @@ class ConstantTurnRatePredictor(KinematicPredictor):
             where=known,
         )
         speed = np.abs(observation.states[:, -1, USER_VELOCITY])
-        tightest = speed / TURN_RADIUS
-        gripping = TURN_ACCELERATION / np.maximum(speed, 1.0)
+        tightest = speed / settings.tightest_radius
+        gripping = settings.lateral_acceleration / np.maximum(speed, 1.0)
         limit = np.minimum(tightest, gripping)
         return np.asarray(np.clip(slope, -limit, limit))
 

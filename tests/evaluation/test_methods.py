@@ -8,7 +8,14 @@ import pytest
 from dosplan_simple.predictors import ConstantTurnRatePredictor
 from dosplan_simple.sets import GrowingCirclePredictor
 
-from dosplan.evaluation.methods import Method, MethodError, build, check_labels, read_methods
+from dosplan.evaluation.methods import (
+    Method,
+    MethodError,
+    build,
+    check_labels,
+    read_methods,
+    settings,
+)
 from dosplan.plugins.registry import RegistryError, create_planner, create_predictor
 
 SIMPLE = Path(__file__).parents[2] / "predictors" / "simple.yaml"
@@ -30,6 +37,8 @@ def test_options_reach_the_predictor_and_nested_ones_are_built(tmp_path: Path) -
     assert isinstance(predictor, GrowingCirclePredictor)
     assert isinstance(predictor.base, ConstantTurnRatePredictor)
     assert (predictor.z, predictor.seed, predictor.base.seed) == (0.7, 3, 3)
+    told = settings(method)
+    assert (told["z"], told["base"]["predictor"]) == (0.7, "constant-turn-rate")
 
 
 def test_the_file_of_untrained_methods_can_be_built() -> None:

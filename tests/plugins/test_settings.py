@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import pytest
 from dosplan_dos.predictor import DosSettings
-from dosplan_simple.predictors import ConstantTurnRatePredictor, ConstantVelocityPredictor
+from dosplan_simple.predictors import (
+    ConstantTurnRatePredictor,
+    ConstantVelocityPredictor,
+    TurnRateSettings,
+)
 from dosplan_simple.sets import FixedCirclePredictor, FixedCircleSettings, GrowingCircleSettings
 
 from dosplan.api import PluginSpec, Predictor, PredictorSettings
@@ -102,7 +106,7 @@ def test_a_wrong_option_is_named(options: dict[str, Any], message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-TURNING = PluginSpec(ConstantTurnRatePredictor, PredictorSettings(horizon=50))
+TURNING = PluginSpec(ConstantTurnRatePredictor, TurnRateSettings(horizon=50))
 
 
 @pytest.mark.parametrize(
@@ -123,7 +127,9 @@ def test_a_plugin_within_a_plugin_is_set_in_every_way(
 ) -> None:
     chosen = choose_predictor(name, options)
     assert chosen.settings == kind(base=TURNING)
-    assert record(chosen)["base"] == {"predictor": "constant-turn-rate", "options": {"horizon": 50}}
+    recorded = record(chosen)["base"]
+    assert recorded["predictor"] == "constant-turn-rate"
+    assert recorded["options"] == asdict(TurnRateSettings(horizon=50))
     assert choose_predictor(name, record(chosen)) == chosen
 
 

@@ -159,6 +159,17 @@ def test_options_reach_the_plugins_and_run_json(scenes: Path, tmp_path: Path) ->
     assert read_rows(run(config, executor=NoExecutor()).rows) == [row]
 
 
+def test_a_run_of_another_default_is_another_run(scenes: Path, tmp_path: Path) -> None:
+    config = _config(tmp_path / "run", scenes, "TunedPlanner", limit=1)
+    folder = run_here(config)
+    manifest = read_json(folder.manifest)
+    assert manifest["settings"] == {"planner": {"acceleration": 0.0}, "predictor": {"horizon": 40}}
+    manifest["settings"]["planner"]["acceleration"] = 1.0  # As an older planner may have had it.
+    folder.manifest.write_text(json.dumps(manifest))
+    with pytest.raises(RunError, match=r"a run with another value of planner\.acceleration;"):
+        run_here(config)
+
+
 def test_options_are_copied_and_travel_with_the_configuration() -> None:
     given = {"gain": [1, 2.5, None, {"kind": "a"}], "fast": True}
     config = RunConfig(out=Path("run"), planner_options=given)

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from dosplan_simple.measure import measure
 from dosplan_simple.predictors import (
-    TURN_ACCELERATION,
-    TURN_RADIUS,
     ConstantTurnRatePredictor,
     ConstantVelocityPredictor,
     GroundTruthPredictor,
     NonePredictor,
+    TurnRateSettings,
 )
 from dosplan_simple.sets import (
     ErrorCirclePredictor,
@@ -85,7 +84,7 @@ def test_constant_turn_rate_is_not_upset_by_the_jump_of_a_wrapped_heading() -> N
 
 def turned(tracks: Tracks, step: int = 20) -> float:
     """Heading change that is predicted over 1 s, rad."""
-    sets = ConstantTurnRatePredictor(settings=PredictorSettings(horizon=10)).predict(
+    sets = ConstantTurnRatePredictor(settings=TurnRateSettings(horizon=10)).predict(
         seen_at(tracks, step)
     )
     return float(sets.heading[0, -1] - tracks.states[0, step, 2])
@@ -96,14 +95,14 @@ def test_standing_vehicles_do_not_spin() -> None:
     tracks = steady_tracks([[0.0, 0.0, 0.0, 0.0]])
     assert turned(with_headings(tracks, noise, 0.0)) == 0.0
     # At 0.5 m/s the tightest turn is 0.5 / 5 = 0.1 rad/s.
-    assert abs(turned(with_headings(tracks, noise, 0.5))) <= 0.5 / TURN_RADIUS + 1e-12
+    assert abs(turned(with_headings(tracks, noise, 0.5))) <= 0.5 / 5.0 + 1e-12
 
 
 def test_fast_vehicles_turn_no_faster_than_tyres_hold() -> None:
     tracks = with_headings(
         steady_tracks([[0.0, 0.0, 0.0, 20.0]]), np.linspace(0.0, 300.0, 101), 20.0
     )
-    assert abs(turned(tracks)) <= TURN_ACCELERATION / 20.0 + 1e-12
+    assert abs(turned(tracks)) <= 4.0 / 20.0 + 1e-12
 
 
 def test_turn_rate_averages_noise_out() -> None:

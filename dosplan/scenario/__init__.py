@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 from dosplan.scenario.commonroad.document import ScenarioError, read_file
@@ -22,9 +21,9 @@ __all__ = [
 def load_scenario(ref: ScenarioRef | str | Path, *, cached: bool = False) -> Scenario:
     """Reads one episode.
 
-    Recordings with a step other than 0.1 s are resampled where that is exact: a step that is a
-    multiple of 0.1 s by linear interpolation (headings the short way round), a step of which
-    0.1 s is a multiple by leaving steps out. Any other step is refused.
+    Recordings with a step other than 0.1 s are resampled: where a new step lies on an old one, it
+    is that; between two it is linear, headings the short way round. Goals count at the new steps
+    within their time.
 
     Args:
         ref: The episode, or a file that holds one planning problem.
@@ -80,10 +79,7 @@ def parse_scenario(ref: ScenarioRef, content: bytes, *, onlooker: bool = False) 
     Raises:
         ScenarioError: The file cannot be used.
     """
-    # commonroad-io, networkx and scipy take half a second to import, which listing does not need.
-    # Importing it warns of the protobuf bindings it was generated with, which nobody can help.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from dosplan.scenario.commonroad.reader import read_scenario
+    # networkx and scipy take long to import, and listing scenarios does not need them.
+    from dosplan.scenario.commonroad.reader import read_scenario
 
     return read_scenario(ref, content, onlooker=onlooker)

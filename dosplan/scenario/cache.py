@@ -31,8 +31,8 @@ from dosplan.types import Scenario
 
 MAX_BYTES: Final = 4 * 1024**3
 """Size that the whole cache keeps to, about."""
-_FORMAT: Final = 6
-_LIBRARIES: Final = ("commonroad-io", "networkx", "numpy", "scipy", "shapely")
+_FORMAT: Final = 7
+_LIBRARIES: Final = ("networkx", "numpy", "scipy", "shapely")
 
 
 def cached(ref: ScenarioRef, content: bytes, make: Callable[[], Scenario]) -> Scenario:

@@ -250,6 +250,8 @@ class Scenario:
         tracks: The recording, future included.
         task: Start, goal and route of the ego.
         tags: The file's tags (``simulated``, ``highway``, ...).
+        notes: What of the file could not be taken as it is, and was left out or put right; a line
+            each.
     """
 
     id: str
@@ -260,6 +262,7 @@ class Scenario:
     tracks: Tracks
     task: PlanningTask
     tags: frozenset[str] = frozenset()
+    notes: tuple[str, ...] = ()
 
 
 def place_of(scenario_id: str) -> str:

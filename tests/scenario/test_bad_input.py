@@ -55,25 +55,23 @@ def _replaced(before: str, after: str) -> str:
 # Scenarios.
 
 
-@pytest.mark.parametrize("value", ["1e30", "-1e12", "1000.1"])
-def test_an_orientation_of_many_turns_is_refused_and_not_unwound(
-    tmp_path: Path, value: str
-) -> None:
+@pytest.mark.parametrize("value", ["1e30", "-1e12"])
+def test_an_orientation_without_measure_is_named(tmp_path: Path, value: str) -> None:
     text = GOOD.replace("<orientation><exact>0.0<", f"<orientation><exact>{value}<")
     assert text != GOOD
-    _refused(tmp_path, text, "orientation|not finite numbers up to")
+    _refused(tmp_path, text, "the <orientation> is .*no finite number")
 
 
-def test_an_orientation_of_some_turns_is_taken(tmp_path: Path) -> None:
+def test_an_orientation_of_many_turns_is_taken(tmp_path: Path) -> None:
     path = tmp_path / "good.xml"
-    path.write_text(GOOD.replace("<orientation><exact>0.0<", "<orientation><exact>-999.9<"))
+    path.write_text(GOOD.replace("<orientation><exact>0.0<", "<orientation><exact>-99999.9<"))
     assert load_scenario(path).task.final_step == 50
 
 
 @pytest.mark.parametrize("value", ["1e999", "-1.1e9", "1" + "0" * 400])
 def test_a_number_without_measure_is_named(tmp_path: Path, value: str) -> None:
     text = _replaced("<x>50.0</x>", f"<x>{value}</x>")
-    _refused(tmp_path, text, r"up to 1e\+09 \(first in <x>\)")
+    _refused(tmp_path, text, r"lanelet 100: the <x> is .*no finite number up to 1e\+09")
 
 
 def test_a_step_far_away_takes_no_memory(tmp_path: Path) -> None:
@@ -97,7 +95,7 @@ def test_an_episode_that_starts_far_away_takes_no_memory(
 @pytest.mark.parametrize("width", ["0", "-1.8"])
 def test_a_road_user_without_a_size_is_named(tmp_path: Path, width: str) -> None:
     text = _replaced("<width>1.8</width>", f"<width>{width}</width>")
-    _refused(tmp_path, text, f"obstacle 7 is 4.5 m by {width} m")
+    _refused(tmp_path, text, f"obstacle 7: it is 4.5 m by {width} m")
 
 
 @pytest.mark.parametrize("length", [MAX_SIZE, MAX_SIZE + 1.0])
@@ -107,25 +105,21 @@ def test_a_road_user_of_any_length_would_take_for_ever_to_score(
     # How finely the way between two steps is looked at grows with the size.
     text = _replaced("<length>4.5</length>", f"<length>{length}</length>")
     if length > MAX_SIZE:
-        _refused(tmp_path, text, "obstacle 7 is 10001 m by 1.8 m")
+        _refused(tmp_path, text, "obstacle 7: it is 10001 m by 1.8 m")
     else:
         path = tmp_path / "good.xml"
         path.write_text(text)
         assert load_scenario(path).tracks.size[0, 0] == length
 
 
-def test_a_speed_limit_below_zero_is_named(tmp_path: Path) -> None:
-    text = scenario_xml(scenes.straight_road(speed_limit=9.0)).replace(">9.0<", ">-9.0<")
-    _refused(tmp_path, text, "speed limit below zero")
-
-
 @pytest.mark.parametrize("side", ["Left", "Right"])
-def test_neighbours_that_go_round_are_refused_and_not_followed(tmp_path: Path, side: str) -> None:
-    # commonroad-io looks for the outermost lane to place a sign that has no position.
+def test_neighbours_that_go_round_are_refused(tmp_path: Path, side: str) -> None:
     text = scenario_xml(scenes.straight_road(speed_limit=9.0))
     ids = [x.id for x in scenes.straight_road()]
     link = f'<adjacent{side} ref="{ids[0]}" drivingDir="same"/>'
-    _refused(tmp_path, text.replace("</rightBound>", f"</rightBound>{link}", 1), "neighbours")
+    _refused(
+        tmp_path, text.replace("</rightBound>", f"</rightBound>{link}", 1), "lanelet 10. leads back"
+    )
 
 
 def test_a_tiny_lane_that_leads_back_to_itself_does_not_hang(tmp_path: Path) -> None:

@@ -1,19 +1,32 @@
-"""Recorded road users: commonroad-io obstacles to ``Tracks``."""
+"""Recorded road users: the obstacles of a scenario file as ``Tracks``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from fractions import Fraction
+from typing import Final, Self
+from xml.etree.ElementTree import Element
 
 import numpy as np
+import shapely
 
 from dosplan.geometry import wrap_angle
-from dosplan.scenario.commonroad.states import body, exact, moved, position
+from dosplan.scenario.commonroad.elements import (
+    FaultError,
+    child,
+    identity,
+    label,
+    middle,
+    naming,
+    step,
+)
+from dosplan.scenario.commonroad.states import Body, bodies, fitted, moved, position, read_shape
 from dosplan.types import (
     STEP_SECONDS,
     USER_HEADING,
     USER_SIZE,
+    USER_VELOCITY,
     BoolArray,
     FloatArray,
     IntArray,
@@ -55,58 +68,73 @@ _MOVED: Final = 0.05
 """Distance, m, below which a displacement says nothing about the heading."""
 
 
+STANDING: Final = 0.1
+"""Speed, m/s, up to which a road user without a trajectory is taken to stand."""
+_ALIKE: Final = 1e-3
+"""Difference, m, rad and m/s, up to which two states of one step are one."""
+STEPS: Final = (1e-3, 10.0)
+"""Shortest and longest step that a file may have, s."""
+
+
 @dataclass(frozen=True)
 class Resampling:
     """How the steps of a file become steps of 0.1 s: ``times`` new for ``every`` old.
 
-    One of the two is 1, so that no new step lies between two old ones without being an exact
-    share of the way.
+    Both kinds of step are whole numbers of ticks: an old one of ``times``, a new one of ``every``.
+    A new step that lies on an old one is that; one between two lies a share of the way between
+    them.
+
+    Attributes:
+        times: Ticks of an old step.
+        every: Ticks of a new step.
+        begin: Tick of new step 0, such that the ego starts at a new step; 0 <= begin < every.
     """
 
     times: int = 1
     every: int = 1
+    begin: int = 0
 
     @classmethod
-    def of(cls, dt: float) -> Resampling:
+    def of(cls, dt: float, start: int = 0) -> Self:
         """The resampling for a file's step.
 
         Args:
             dt: Step of the file, s.
+            start: Old step at which the ego starts.
 
         Returns:
             The resampling.
 
         Raises:
-            ValueError: Neither of ``dt`` and 0.1 s is a multiple of the other.
+            FaultError: The step is too short or too long.
         """
-        for ratio, name in ((dt / STEP_SECONDS, "times"), (STEP_SECONDS / max(dt, 1e-9), "every")):
-            if np.isfinite(ratio) and round(ratio) >= 1 and abs(ratio - round(ratio)) < 1e-6:
-                return cls(**{name: round(ratio)})
-        raise ValueError(
-            f"has a step of {dt} s, of which 0.1 s is neither a multiple nor a whole share; "
-            "resample it to 0.1 s"
-        )
+        if not STEPS[0] <= dt <= STEPS[1]:
+            raise FaultError(
+                f"has a time step of {dt:g} s; give timeStepSize a length from {STEPS[0]:g} to "
+                f"{STEPS[1]:g} s"
+            )
+        ratio = Fraction(dt / STEP_SECONDS).limit_denominator(1000)
+        times, every = ratio.numerator, ratio.denominator
+        return cls(times, every, start * times % every)
 
-    def instant(self, step: int) -> int:
-        """New number of an old step.
+    @property
+    def file_seconds(self) -> float:
+        """Step of the file, s."""
+        return STEP_SECONDS * self.times / self.every
+
+    def instant(self, old: int) -> int:
+        """The last new step that is not after an old one.
 
         Args:
-            step: Old step.
+            old: Old step.
 
         Returns:
             New step.
-
-        Raises:
-            ValueError: The step is one of those left out.
         """
-        if step * self.times % self.every:
-            raise ValueError(
-                f"begins at step {step}, which no multiple of 0.1 s meets; resample it"
-            )
-        return step * self.times // self.every
+        return (old * self.times - self.begin) // self.every
 
     def window(self, first: int, last: int) -> tuple[int, int]:
-        """New steps within a window of old ones.
+        """New steps within a window of old ones, or the nearest one where none lies within.
 
         Args:
             first: First old step.
@@ -114,16 +142,23 @@ class Resampling:
 
         Returns:
             First and last new step.
-
-        Raises:
-            ValueError: There is none.
         """
-        start, end = -(-first * self.times // self.every), last * self.times // self.every
-        if start > end:
-            raise ValueError(
-                f"has a goal at steps {first} to {last} only, between two steps of 0.1 s; widen it"
-            )
-        return start, end
+        begin, end = (old * self.times - self.begin for old in (first, last))
+        start, stop = -(-begin // self.every), end // self.every
+        if start > stop:
+            start = stop = round(Fraction(begin + end, 2 * self.every))
+        return start, stop
+
+    def old_steps(self, last: int) -> int:
+        """Number of old steps that are needed to know the new ones up to one.
+
+        Args:
+            last: The last new step that is needed.
+
+        Returns:
+            How many, from old step 0 on.
+        """
+        return -(-(last * self.every + self.begin) // self.times) + 1
 
     def tracks(self, states: FloatArray, valid: BoolArray) -> tuple[FloatArray, BoolArray]:
         """Resampled tracks.
@@ -136,7 +171,7 @@ class Resampling:
             (N, K', 4) and (N, K'): linear between two neighbouring valid steps, headings the
             short way round; a step between a valid one and one that is not is not valid.
         """
-        grid = np.arange(0, (states.shape[1] - 1) * self.times + 1, self.every)
+        grid = np.arange(self.begin, (states.shape[1] - 1) * self.times + 1, self.every)
         low, share = grid // self.times, (grid % self.times) / self.times
         high = np.where(share > 0, low + 1, low)
         change = states[:, high] - states[:, low]
@@ -144,116 +179,225 @@ class Resampling:
         return states[:, low] + share[:, None] * change, valid[:, low] & valid[:, high]
 
 
+@dataclass(frozen=True)
+class _Obstacle:
+    """An obstacle of the file.
+
+    Attributes:
+        id: Its id.
+        kind: What it is.
+        bodies: Its convex bodies.
+        steps: (M,) steps of its states in the file.
+        rows: (M, 4) its states; a single one at step 0 where it is fixed.
+        stays: Whether it stays where its last state is.
+    """
+
+    id: int
+    kind: RoadUserKind
+    bodies: list[Body]
+    steps: IntArray
+    rows: FloatArray
+    stays: bool
+
+
 def read_tracks(
-    scenario: Any,
-    derived: Mapping[int, frozenset[str]],
+    root: Element,
     resampling: Resampling,
     last_step: int,
-) -> Tracks:
-    """The road users of a commonroad-io scenario.
+    road: shapely.Geometry,
+) -> tuple[Tracks, tuple[str, ...]]:
+    """The road users of a scenario file.
+
+    A road user whose shapes are not convex becomes several, one for each convex piece, which move
+    together. The first has its id, the others ids that nothing in the file has.
+
+    One without a trajectory that stands stays where it is. One that moves has left the scene after
+    its only state, unless nobody in the file has a trajectory: then the file is one of interactive
+    traffic, in which a simulator moves the road users, and cannot be replayed.
 
     Args:
-        scenario: The commonroad-io scenario.
-        derived: Fields that each obstacle's initial state leaves out; they are derived from the
-            positions.
+        root: The file's root element.
         resampling: From the file's steps to steps of 0.1 s.
         last_step: The tracks cover the steps up to here at least, in steps of 0.1 s.
+        road: Where cars drive, m.
 
     Returns:
-        The tracks. A static obstacle is there at every step, at rest.
+        The tracks, and what was put right, a line each. A static obstacle is there at every step,
+        at rest.
 
     Raises:
-        ValueError: A road user has no size or one beyond ``MAX_SIZE``, or there are more than
-            ``MAX_STATES`` states.
+        FaultError: A road user cannot be read, has no size or one beyond ``MAX_SIZE``, there are
+            more than ``MAX_STATES`` states, or the road users' ways are not in the file.
     """
-    dt = STEP_SECONDS * resampling.times / resampling.every
-    moving = [_recorded(o, derived.get(o.obstacle_id, frozenset()), dt) for o in _dynamic(scenario)]
-    needed = -(-last_step * resampling.every // resampling.times) + 1
-    length = max([needed, *(int(steps[-1]) + 1 for steps, _ in moving)])
-    obstacles = [*_dynamic(scenario), *_static(scenario)]
-    if length * resampling.times * max(len(obstacles), 1) > MAX_STATES:
-        raise ValueError(
-            f"has {len(obstacles)} obstacles at up to {length} steps, more than {MAX_STATES} "
-            "states; split it"
+    dynamic, static = _listed(root)
+    if (moving := _interactive(dynamic)) is not None:
+        raise FaultError(
+            f"gives none of its {len(dynamic)} dynamic obstacles a trajectory, and {moving} moves: "
+            "interactive traffic, which a simulator drives; let it drive them, record their "
+            "trajectories into the file, and run that"
         )
-    bodies = [body(o.obstacle_shape) for o in obstacles]
-    for obstacle, (_, size, _) in zip(obstacles, bodies, strict=True):
-        if not np.all((size > 0.0) & (size <= MAX_SIZE)):
-            raise ValueError(
-                f"obstacle {obstacle.obstacle_id} is {size[0]:g} m by {size[1]:g} m; correct it"
-            )
-    dynamic = [_on_grid(steps, rows, length) for steps, rows in moving]
-    static = [np.tile(_at_rest(o), (length, 1)) for o in _static(scenario)]
-    states = np.array([*dynamic, *static]).reshape(len(obstacles), length, USER_SIZE)
-    for row, (pose, _, _) in zip(states, bodies, strict=True):
-        row[:, :3] = moved(pose, row[:, :3])
-    states, valid = resampling.tracks(states, ~np.isnan(states[..., 0]))
-    return Tracks(
-        ids=np.array([o.obstacle_id for o in obstacles], dtype=np.int64),
-        kinds=tuple(
-            [_kind(o) for o in _dynamic(scenario)] + [_kind_at_rest(o) for o in _static(scenario)]
-        ),
-        size=np.array([size for _, size, _ in bodies]).reshape(-1, 2),
-        states=states,
-        valid=valid,
-        outlines=tuple(outline for _, _, outline in bodies),
+    read: list[_Obstacle] = []
+    for elements, make in ((dynamic, _dynamic), (static, _static)):
+        for element in elements:
+            with naming(label(element)):
+                read.append(make(element, resampling, road))
+    ends = [int(o.steps[-1]) + 1 for o in read]
+    length = max([resampling.old_steps(last_step), *ends])
+    count = sum(len(o.bodies) for o in read)
+    if length * resampling.times / resampling.every * max(count, 1) > MAX_STATES or (
+        length * max(count, 1) > MAX_STATES
+    ):
+        raise FaultError(
+            f"has {count} obstacles at up to {length} steps, more than {MAX_STATES} states; "
+            "split it"
+        )
+    return _tracks(read, _free_ids(root, read), length, resampling)
+
+
+def _listed(root: Element) -> tuple[list[Element], list[Element]]:
+    """The dynamic obstacles, and those that never move."""
+    dynamic, static = root.findall("dynamicObstacle"), root.findall("staticObstacle")
+    for element in root.iterfind("obstacle"):  # of version 2018b
+        role = (element.findtext("role") or "").strip()
+        if role not in ("static", "dynamic"):
+            raise FaultError(f"{label(element)} has the role '{role}'; make it static or dynamic")
+        (dynamic if role == "dynamic" else static).append(element)
+    static += root.findall("environmentObstacle")
+    known: set[int] = set()
+    for element in (*dynamic, *static):
+        name = identity(element)
+        if name in known:
+            raise FaultError(f"names obstacle {name} twice; give one of them another id")
+        known.add(name)
+    return dynamic, static
+
+
+def _interactive(dynamic: Sequence[Element]) -> str | None:
+    """What moves in a file in which nobody has a trajectory; None in any other."""
+    if any(element.find("trajectory/state") is not None for element in dynamic):
+        return None
+    for element in dynamic:
+        with naming(label(element)):
+            speed = child(element, "initialState").find("velocity")
+            if speed is not None and abs(middle(speed)) > STANDING:
+                return label(element)
+    return None
+
+
+def _dynamic(element: Element, resampling: Resampling, _: shapely.Geometry) -> _Obstacle:
+    steps, rows = _recorded(element, resampling.file_seconds)
+    alone = element.find("trajectory/state") is None
+    return _Obstacle(
+        id=identity(element),
+        kind=_kind(element),
+        bodies=_bodies(element, fixed=False),
+        steps=steps,
+        rows=rows,
+        stays=alone and abs(float(rows[0, USER_VELOCITY])) <= STANDING,
     )
 
 
-def _dynamic(scenario: Any) -> Sequence[Any]:
-    return list(scenario.dynamic_obstacles)
+def _static(element: Element, _: Resampling, road: shapely.Geometry) -> _Obstacle:
+    place = np.zeros(USER_SIZE)
+    if element.tag != "environmentObstacle":  # whose shape stands in the scenario frame
+        state = child(element, "initialState")
+        place[:2] = position(state)
+        turned = state.find("orientation")
+        place[2] = 0.0 if turned is None else middle(turned)
+    kind = _kind(element)
+    pieces = _bodies(element, fixed=True)
+    return _Obstacle(
+        id=identity(element),
+        kind=RoadUserKind.PARKED if kind in _VEHICLES else RoadUserKind.STATIC,
+        bodies=[part for piece in pieces for part in fitted(piece, place[:3], road)],
+        steps=np.zeros(1, dtype=np.int64),
+        rows=place[None],
+        stays=True,
+    )
 
 
-def _static(scenario: Any) -> Sequence[Any]:
-    return [*scenario.static_obstacles, *scenario.environment_obstacle]
+def _kind(element: Element) -> RoadUserKind:
+    return _KINDS.get((element.findtext("type") or "").strip(), RoadUserKind.UNKNOWN)
 
 
-def _kind(obstacle: Any) -> RoadUserKind:
-    return _KINDS.get(obstacle.obstacle_type.value, RoadUserKind.UNKNOWN)
+def _bodies(element: Element, *, fixed: bool) -> list[Body]:
+    found = bodies(read_shape(child(element, "shape")), fixed=fixed)
+    for body in found:
+        if not np.all((body.size > 0.0) & (body.size <= MAX_SIZE)):
+            raise FaultError(f"it is {body.size[0]:g} m by {body.size[1]:g} m; correct it")
+    return found
 
 
-def _kind_at_rest(obstacle: Any) -> RoadUserKind:
-    return RoadUserKind.PARKED if _kind(obstacle) in _VEHICLES else RoadUserKind.STATIC
+def _tracks(
+    read: Sequence[_Obstacle], free_ids: Iterable[int], length: int, resampling: Resampling
+) -> tuple[Tracks, tuple[str, ...]]:
+    fresh, notes = iter(free_ids), []
+    ids: list[int] = []
+    owners: list[_Obstacle] = []
+    for obstacle in read:
+        own = [obstacle.id, *(next(fresh) for _ in obstacle.bodies[1:])]
+        if len(own) > 1:
+            notes.append(
+                f"obstacle {obstacle.id}: it is not convex; its pieces are the road users "
+                f"{obstacle.id} and {own[1]} to {own[-1]}"
+            )
+        ids += own
+        owners += [obstacle] * len(own)
+    parts = [body for obstacle in read for body in obstacle.bodies]
+    states = np.array([_on_grid(o, length) for o in owners]).reshape(-1, length, USER_SIZE)
+    for row, body in zip(states, parts, strict=True):
+        row[:, :3] = moved(body.pose, row[:, :3])
+    states, valid = resampling.tracks(states, ~np.isnan(states[..., 0]))
+    tracks = Tracks(
+        ids=np.array(ids, dtype=np.int64),
+        kinds=tuple(obstacle.kind for obstacle in owners),
+        size=np.array([body.size for body in parts]).reshape(-1, 2),
+        states=states,
+        valid=valid,
+        outlines=tuple(body.outline for body in parts),
+    )
+    return tracks, tuple(notes)
 
 
-def _at_rest(obstacle: Any) -> FloatArray:
-    state = getattr(obstacle, "initial_state", None)
-    if state is None:  # an environment obstacle's shape stands in the scenario frame
-        return np.zeros(USER_SIZE)
-    return np.array([*position(state.position), exact(state.orientation), 0.0])
+def _free_ids(root: Element, read: Sequence[_Obstacle]) -> Iterable[int]:
+    """Ids that nothing in the file has."""
+    first = max([0, *(o.id for o in read)])
+    for element in root.iter():
+        text = element.get("id", "")
+        if text.isdecimal():
+            first = max(first, int(text))
+    return range(first + 1, first + 1 + sum(len(o.bodies) for o in read))
 
 
-def _recorded(obstacle: Any, absent: frozenset[str], dt: float) -> tuple[IntArray, FloatArray]:
+def _recorded(element: Element, dt: float) -> tuple[IntArray, FloatArray]:
     """Steps and states (M, 4) of a dynamic obstacle, gaps in heading and velocity filled."""
-    first = obstacle.initial_state
-    later = [] if obstacle.prediction is None else obstacle.prediction.trajectory.state_list
-    states = [first, *(s for s in later if _step(s) > _step(first))]
-    steps = np.array([_step(state) for state in states], dtype=np.int64)
-    if np.any(np.diff(steps) <= 0) or steps[0] < 0:
-        raise ValueError(
-            f"lists the states of obstacle {obstacle.obstacle_id} out of order; sort them by time"
-        )
-    rows = np.array([_row(state) for state in states])
-    if "orientation" in absent:
-        rows[0, 2] = np.nan
-    if "velocity" in absent:
-        rows[0, 3] = np.nan
+    first = child(element, "initialState")
+    with naming("its initial state"):
+        begin = step(first)
+        known = {begin: _row(first)}
+    if begin < 0:
+        raise FaultError(f"it begins at step {begin}; steps count from 0")
+    for count, state in enumerate(element.iterfind("trajectory/state"), start=1):
+        with naming(f"state {count} of its trajectory"):
+            at = step(state)
+            row = _row(state) if at > begin else []
+        if not row:
+            continue
+        if at in known and not np.allclose(known[at], row, rtol=0.0, atol=_ALIKE, equal_nan=True):
+            raise FaultError(f"it has two different states at step {at}; remove one of them")
+        known.setdefault(at, row)
+    steps = np.array(sorted(known), dtype=np.int64)
+    rows = np.array([known[int(at)] for at in steps])
     return steps, _derived(rows, steps.astype(np.float64) * dt)
 
 
-def _step(state: Any) -> int:
-    return int(exact(state.time_step))
-
-
-def _row(state: Any) -> list[float]:
-    heading = getattr(state, "orientation", None)
-    along = getattr(state, "velocity", None)
-    speed = np.nan if along is None else exact(along)
-    # commonroad-io answers `velocity_y` for a state that has none: with the speed's share along
-    # the y axis. Only where the file holds one is it the velocity across the body.
-    if "velocity_y" in state.used_attributes:
-        speed = float(np.hypot(speed, exact(state.velocity_y)))
-    return [*position(state.position), np.nan if heading is None else exact(heading), speed]
+def _row(state: Element) -> list[float]:
+    """x, y, heading and speed of a state; NaN for a heading or a speed that it leaves out."""
+    turned, along, across = (state.find(tag) for tag in ("orientation", "velocity", "velocityY"))
+    speed = np.nan if along is None else middle(along)
+    if across is not None:
+        speed = float(np.hypot(speed, middle(across)))
+    return [*position(state), np.nan if turned is None else middle(turned), speed]
 
 
 def _derived(rows: FloatArray, time: FloatArray) -> FloatArray:
@@ -276,7 +420,9 @@ def _derived(rows: FloatArray, time: FloatArray) -> FloatArray:
     return np.column_stack([rows[:, :2], heading, velocity])
 
 
-def _on_grid(steps: IntArray, rows: FloatArray, length: int) -> FloatArray:
+def _on_grid(obstacle: _Obstacle, length: int) -> FloatArray:
     grid = np.full((length, USER_SIZE), np.nan)
-    grid[steps] = rows
+    grid[obstacle.steps] = obstacle.rows
+    if obstacle.stays:
+        grid[obstacle.steps[-1] :] = [*obstacle.rows[-1, :3], 0.0]
     return grid

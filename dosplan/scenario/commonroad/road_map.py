@@ -2,13 +2,30 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+from xml.etree.ElementTree import Element
 
+import numpy as np
 import shapely
 from shapely.geometry import MultiPolygon, Polygon
 
 from dosplan.geometry import areas, lanelet_polygon
-from dosplan.types import Lanelet, RoadMap
+from dosplan.scenario.commonroad.elements import (
+    FaultError,
+    child,
+    identity,
+    label,
+    naming,
+    number,
+    points,
+    quoted,
+    references,
+    whole,
+)
+from dosplan.types import FloatArray, Lanelet, RoadMap
 
 SEAM: Final = 0.1
 """Half the width of the gaps between lanelets that count as road, m.
@@ -18,8 +35,44 @@ they leave slivers open. Of the published solutions (71 looked at), 13 leave the
 lanelets and none the union with gaps of up to 0.04 m closed. A gap of 0.2 m is narrower than a
 car's tyre: none that narrow is an edge of the road that a car could drive off.
 """
-_CARS: Final = frozenset({"VEHICLE", "CAR"})
-_NO_CARS: Final = frozenset({"BICYCLE_LANE", "CROSSWALK", "SIDEWALK"})
+_CARS: Final = frozenset({"vehicle", "car"})
+_NO_CARS: Final = frozenset({"bicycleLane", "crosswalk", "sidewalk"})
+
+SPEED_LIMIT_SIGNS: Final = frozenset(
+    {"274", "R2-1", "r301", "3.24", "R15", "C43", "B14", "\N{GREEK CAPITAL LETTER RHO}-32", "B31"}
+)
+"""Signs of a largest speed, whatever the country: the German number stands in files of many."""
+ZONE_SIGN: Final = "274.1"
+"""A zone with a largest speed; 30 km/h where the sign names none, else as in ``274.1-20``."""
+_NO_LIMIT: Final = frozenset({"inf", "infinity", "+inf", "none", "unlimited", "nan"})
+_UNITS: Final = {
+    "": 1.0,
+    "m/s": 1.0,
+    "ms": 1.0,
+    "mps": 1.0,
+    "km/h": 1.0 / 3.6,
+    "kmh": 1.0 / 3.6,
+    "kph": 1.0 / 3.6,
+    "kmph": 1.0 / 3.6,
+    "mph": 0.44704,
+    "mi/h": 0.44704,
+}
+_SPEED: Final = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:e[+-]?\d+)?)\s*([a-z/]*)")
+
+
+@dataclass(frozen=True)
+class MapReading:
+    """What a file says of the road.
+
+    Attributes:
+        road_map: The map.
+        two_way: Ids of the lanelets that may be driven in both directions.
+        notes: What was left out or put right, a line each.
+    """
+
+    road_map: RoadMap
+    two_way: frozenset[int]
+    notes: tuple[str, ...]
 
 
 def drivable_area(lanelets: tuple[Lanelet, ...]) -> Polygon | MultiPolygon:
@@ -36,66 +89,219 @@ def drivable_area(lanelets: tuple[Lanelet, ...]) -> Polygon | MultiPolygon:
     return areas(shapely.buffer(grown, -SEAM, join_style="mitre"))
 
 
-def read_road_map(network: Any) -> RoadMap:
-    """The map of a commonroad-io lanelet network.
+def read_road_map(root: Element) -> MapReading:
+    """The map of a scenario file.
 
-    Links to lanelets that it does not hold are dropped, and so are those between a lanelet for
-    cars and one that is not.
+    Links that one of two lanelets leaves out are completed from the other. Links to lanelets that
+    the file does not hold are dropped, and so are those between a lanelet for cars and one that is
+    not.
 
     Args:
-        network: A ``LaneletNetwork``.
+        root: The file's root element.
 
     Returns:
         The map.
+
+    Raises:
+        FaultError: A lanelet cannot be read, or the lanelets contradict each other.
     """
-    for_cars = {lanelet.lanelet_id: _is_for_cars(lanelet) for lanelet in network.lanelets}
-    lanelets = tuple(_lanelet(network, lanelet, for_cars) for lanelet in network.lanelets)
-    return RoadMap(lanelets, drivable_area(lanelets))
+    notes: list[str] = []
+    limits = _speed_limits(root, notes)
+    found: dict[int, Lanelet] = {}
+    for element in root.iterfind("lanelet"):
+        name = identity(element)
+        if name in found:
+            raise FaultError(f"names lanelet {name} twice; give one of them another id")
+        with naming(label(element)):
+            found[name] = _lanelet(element, name, limits, notes)
+    if circle := _goes_round(found.values()):
+        raise FaultError(
+            f"lanelet {circle} leads back to itself from neighbour to neighbour on the same side; "
+            "correct <adjacentLeft> and <adjacentRight>"
+        )
+    lanelets = tuple(_linked(found).values())
+    two_way = frozenset(
+        identity(x) for x in root.iterfind("lanelet") if x.find("userBidirectional") is not None
+    )
+    return MapReading(RoadMap(lanelets, drivable_area(lanelets)), two_way, tuple(notes))
 
 
-def _lanelet(network: Any, lanelet: Any, for_cars: dict[int, bool]) -> Lanelet:
-    use = for_cars[lanelet.lanelet_id]
-
-    def alike(names: list[int]) -> tuple[int, ...]:
-        return tuple(name for name in names if for_cars.get(name) is use)
-
-    def neighbour(name: int | None, same_direction: bool | None) -> int | None:
-        return name if same_direction and name is not None and alike([name]) else None
-
+def _lanelet(element: Element, name: int, limits: Mapping[int, float], notes: list[str]) -> Lanelet:
+    left, right = (_bound(element, f"{side}Bound") for side in ("left", "right"))
+    if len(left) != len(right):
+        notes.append(
+            f"lanelet {name}: its bounds have {len(left)} and {len(right)} points; they were "
+            "matched by their lengths"
+        )
+        left, right = _matched(left, right)
+    if (turned := _turned(left, right)) is not None:
+        notes.append(f"lanelet {name}: its bounds run against each other; one was turned")
+        left, right = turned
+    signs = references(element, "trafficSignRef")
+    own = [limits[sign] for sign in signs if sign in limits]
+    told = element.find("speedLimit")
+    if told is not None and (limit := _speed(told.text, f"lanelet {name}", notes)) is not None:
+        own.append(limit)
     return Lanelet(
-        id=lanelet.lanelet_id,
-        left=lanelet.left_vertices[:, :2],
-        right=lanelet.right_vertices[:, :2],
-        successors=alike(lanelet.successor),
-        predecessors=alike(lanelet.predecessor),
-        left_neighbour=neighbour(lanelet.adj_left, lanelet.adj_left_same_direction),
-        right_neighbour=neighbour(lanelet.adj_right, lanelet.adj_right_same_direction),
-        speed_limit=_speed_limit(network, lanelet),
-        for_cars=use,
+        id=name,
+        left=left,
+        right=right,
+        successors=tuple(references(element, "successor")),
+        predecessors=tuple(references(element, "predecessor")),
+        left_neighbour=_neighbour(element, "adjacentLeft"),
+        right_neighbour=_neighbour(element, "adjacentRight"),
+        speed_limit=min(own, default=None),
+        for_cars=_is_for_cars(element),
     )
 
 
-def _is_for_cars(lanelet: Any) -> bool:
+def _bound(element: Element, tag: str) -> FloatArray:
+    line = points(child(element, tag))
+    if len(line) < 2:
+        raise FaultError(f"its <{tag}> has fewer than two points; give it two or more")
+    return line
+
+
+def _matched(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The bounds with points at the same shares of their lengths; every given point is kept."""
+    shares = [_shares(line) for line in (left, right)]
+    both = np.unique(np.concatenate(shares))
+    both = both[np.concatenate([[True], np.diff(both) > _SAME_SHARE])]
+    both[-1] = 1.0
+    matched = [
+        np.column_stack([np.interp(both, share, line[:, k]) for k in range(2)])
+        for share, line in zip(shares, (left, right), strict=True)
+    ]
+    return matched[0], matched[1]
+
+
+_SAME_SHARE: Final = 1e-6
+
+
+def _shares(line: FloatArray) -> FloatArray:
+    """(P,) share of a line's length at each of its points."""
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    return np.asarray(s / s[-1]) if s[-1] > 0.0 else np.linspace(0.0, 1.0, len(line))
+
+
+def _turned(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """The bounds of a lanelet of which one runs against the other, with that one turned.
+
+    That is so where the bounds cross when they are joined as given, and do not when one is turned.
+    The one is turned that leaves the left bound on the left.
+    """
+    gaps = np.hypot(*(left[[0, -1, 0, -1]] - right[[0, -1, -1, 0]]).T)
+    if gaps[0] + gaps[1] <= gaps[2] + gaps[3] or Polygon(np.vstack([left, right[::-1]])).is_valid:
+        return None
+    outline = Polygon(np.vstack([left, right]))
+    if not outline.is_valid:
+        return None
+    return (left[::-1], right) if outline.exterior.is_ccw else (left, right[::-1])
+
+
+def _neighbour(element: Element, tag: str) -> int | None:
+    """Id of the adjacent lanelet on one side, where it runs in the same direction."""
+    beside = element.find(tag)
+    if beside is None or beside.get("drivingDir") != "same":
+        return None
+    return whole(beside.get("ref"), f"the ref of <{tag}>")
+
+
+def _linked(found: Mapping[int, Lanelet]) -> dict[int, Lanelet]:
+    """The lanelets with their links completed from either side, and without those that lead off."""
+    after = {name: dict.fromkeys(x.successors) for name, x in found.items()}
+    before = {name: dict.fromkeys(x.predecessors) for name, x in found.items()}
+    left = {name: x.left_neighbour for name, x in found.items()}
+    right = {name: x.right_neighbour for name, x in found.items()}
+    for name, lanelet in found.items():
+        for other in lanelet.successors:
+            before.get(other, {}).setdefault(name)
+        for other in lanelet.predecessors:
+            after.get(other, {}).setdefault(name)
+        for beside, own, back in (
+            (lanelet.left_neighbour, left, right),
+            (lanelet.right_neighbour, right, left),
+        ):
+            if beside in back and back[beside] is None and own[beside] != name:
+                back[beside] = name
+
+    def alike(name: int, others: Iterable[int | None]) -> tuple[int, ...]:
+        use = found[name].for_cars
+        return tuple(n for n in others if n is not None and n in found and found[n].for_cars is use)
+
+    return {
+        name: replace(
+            lanelet,
+            successors=alike(name, after[name]),
+            predecessors=alike(name, before[name]),
+            left_neighbour=next(iter(alike(name, [left[name]])), None),
+            right_neighbour=next(iter(alike(name, [right[name]])), None),
+        )
+        for name, lanelet in found.items()
+    }
+
+
+def _goes_round(lanelets: Iterable[Lanelet]) -> int | None:
+    """A lanelet from which the way from neighbour to neighbour on one side leads back to it."""
+    for side in ("left_neighbour", "right_neighbour"):
+        beside = {x.id: neighbour for x in lanelets if (neighbour := getattr(x, side)) is not None}
+        while beside:
+            begun, here = beside.popitem()
+            way = {begun}
+            while here in beside:
+                way.add(here)
+                here = beside.pop(here)
+            if here in way:
+                return int(here)
+    return None
+
+
+def _is_for_cars(element: Element) -> bool:
     """Whether neither the type of a lanelet nor the users it names exclude cars."""
-    users = {user.name for user in lanelet.user_one_way | lanelet.user_bidirectional}
-    types = {kind.name for kind in lanelet.lanelet_type}
+    users = {x.text for tag in ("userOneWay", "userBidirectional") for x in element.iterfind(tag)}
+    types = {x.text for x in element.iterfind("laneletType")}
     return types.isdisjoint(_NO_CARS) and (not users or not users.isdisjoint(_CARS))
 
 
-def _speed_limit(network: Any, lanelet: Any) -> float | None:
-    """Lowest limit on a lanelet's traffic signs, m/s.
+def _speed_limits(root: Element, notes: list[str]) -> dict[int, float]:
+    """Lowest limit of each traffic sign that names one, m/s."""
+    limits: dict[int, float] = {}
+    for sign in root.iterfind("trafficSign"):
+        found = [
+            limit
+            for element in sign.iterfind("trafficSignElement")
+            if (limit := _sign_limit(element, label(sign), notes)) is not None
+        ]
+        if found:
+            limits[identity(sign)] = min(found)
+    return limits
 
-    commonroad-io's own interpreter knows the signs of a few countries only; every country's
-    sign is called MAX_SPEED, so the name is enough.
-    """
-    signs = (network.find_traffic_sign_by_id(name) for name in sorted(lanelet.traffic_signs))
-    limits = [
-        float(element.additional_values[0])
-        for sign in signs
-        if sign is not None
-        for element in sign.traffic_sign_elements
-        if element.traffic_sign_element_id.name == "MAX_SPEED" and element.additional_values
-    ]
-    if any(limit < 0.0 for limit in limits):
-        raise ValueError(f"lanelet {lanelet.lanelet_id} has a speed limit below zero; correct it")
-    return min(limits, default=None)
+
+def _sign_limit(element: Element, name: str, notes: list[str]) -> float | None:
+    """The limit of one element of a traffic sign, m/s; None where it sets none."""
+    kind, _, variant = (element.findtext("trafficSignID") or "").strip().partition("-")
+    told = element.find("additionalValue")
+    if kind == ZONE_SIGN:
+        usual = f"{variant or 30} km/h"
+        return _speed(usual if told is None else told.text, name, notes)
+    whole_id = (element.findtext("trafficSignID") or "").strip()
+    if whole_id not in SPEED_LIMIT_SIGNS and kind not in SPEED_LIMIT_SIGNS:
+        return None
+    if told is None:
+        notes.append(f"{name}: it names no speed; no limit is taken from it")
+        return None
+    return _speed(told.text, name, notes)
+
+
+def _speed(text: str | None, name: str, notes: list[str]) -> float | None:
+    """A speed with or without its unit, m/s; without one it is in m/s, as CommonRoad defines it."""
+    plain = (text or "").strip().lower()
+    if plain in _NO_LIMIT:
+        return None
+    found = _SPEED.fullmatch(plain)
+    if found is not None and found[2] in _UNITS:
+        value = number(found[1].replace(",", "."), "a speed limit")
+        if value > 0.0:
+            return value * _UNITS[found[2]]
+    notes.append(f"{name}: its speed limit {quoted(text)} cannot be read; no limit is taken")
+    return None

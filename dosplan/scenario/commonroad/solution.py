@@ -21,6 +21,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from dosplan.scenario.commonroad.document import ScenarioError, read_document, read_file
+from dosplan.scenario.commonroad.elements import FaultError, child, identity, number, step
 from dosplan.scenario.commonroad.obstacles import Resampling
 from dosplan.types import EGO_HEADING, EGO_STEERING, EGO_VELOCITY, STEP_SECONDS, FloatArray
 from dosplan.vehicle import VehicleParameters
@@ -66,14 +67,21 @@ def solution_xml(path: Path, drives: Mapping[int | None, Drive], date: datetime)
         ScenarioError: The scenario file cannot be read or does not hold these problems.
     """
     scenario = read_document(path, read_file(path)).root
-    problems = [int(problem.get("id", "")) for problem in scenario.findall("planningProblem")]
+    try:
+        problems = {identity(x): x for x in scenario.iterfind("planningProblem")}
+        dt = number(scenario.get("timeStepSize"), "its timeStepSize")
+        resamplings = {
+            name: Resampling.of(dt, step(child(problem, "initialState")))
+            for name, problem in problems.items()
+        }
+    except FaultError as error:
+        raise ScenarioError(path, str(error)) from None
     by_id = {
-        problems[0] if name is None and len(problems) == 1 else name: drive
+        next(iter(problems)) if name is None and len(problems) == 1 else name: drive
         for name, drive in drives.items()
     }
-    if unknown := by_id.keys() - set(problems):
+    if unknown := by_id.keys() - problems.keys():
         raise ScenarioError(path, f"holds no planning problem {min(unknown, key=str)}")
-    resampling = Resampling.of(float(scenario.get("timeStepSize", "")))
     driven = [(name, by_id[name]) for name in problems if name in by_id]
     root = ElementTree.Element(
         "CommonRoadSolution",
@@ -90,7 +98,7 @@ def solution_xml(path: Path, drives: Mapping[int | None, Drive], date: datetime)
     if seconds := sum(drive.seconds for _, drive in driven):
         root.set("computation_time", f"{seconds:.3f}")
     for name, drive in driven:
-        root.append(_trajectory(name, drive, resampling))
+        root.append(_trajectory(name, drive, resamplings[name]))
     ElementTree.indent(root)
     return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)) + b"\n"
 
@@ -102,10 +110,9 @@ def _listed(name: str, count: int) -> str:
 def _trajectory(problem: int, drive: Drive, resampling: Resampling) -> ElementTree.Element:
     element = ElementTree.Element("ksTrajectory", planningProblem=str(problem))
     states = _at_file_steps(drive, resampling)
-    first = drive.start_step * resampling.every // resampling.times
-    for step, (state, centre) in enumerate(
-        zip(states, _VEHICLE.centre(states), strict=True), first
-    ):
+    first = (drive.start_step * resampling.every + resampling.begin) // resampling.times
+    centres = _VEHICLE.centre(states)
+    for time, (state, centre) in enumerate(zip(states, centres, strict=True), first):
         row = ElementTree.SubElement(element, "ksState")
         for tag, value in (
             ("x", centre[0]),
@@ -115,7 +122,7 @@ def _trajectory(problem: int, drive: Drive, resampling: Resampling) -> ElementTr
             ("orientation", state[EGO_HEADING]),
         ):
             ElementTree.SubElement(row, tag).text = repr(float(value))
-        ElementTree.SubElement(row, "time").text = str(step)
+        ElementTree.SubElement(row, "time").text = str(time)
     return element
 
 

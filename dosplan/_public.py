@@ -14,7 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dosplan.api import Planner, Predictor
-from dosplan.plugins.registry import RegistryError, create_planner, create_predictor, target
+from dosplan.plugins.registry import (
+    RegistryError,
+    create_planner,
+    create_predictor,
+    create_traffic,
+    target,
+)
 from dosplan.results.comparison import Comparison, compare_runs
 from dosplan.results.dataframes import to_pandas, to_polars
 from dosplan.results.folder import RunFolder
@@ -29,6 +35,7 @@ from dosplan.running.run import run
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import SimulationConfig
 from dosplan.simulation.loop import run_episode as simulate
+from dosplan.simulation.traffic import Traffic
 from dosplan.types import Arm, Episode, Scenario, Score
 
 if TYPE_CHECKING:
@@ -112,6 +119,7 @@ def run_episode(
     *,
     seed: int = 0,
     replan_every: int = 1,
+    traffic: Traffic | str = "replay",
 ) -> Driven:
     """Drives and scores one scenario, in this process.
 
@@ -122,6 +130,7 @@ def run_episode(
         arm: With or without the sets.
         seed: Seed of a plug-in that is given by its name.
         replan_every: Steps driven from each plan.
+        traffic: Who else is on the road: a traffic, or the name of one.
 
     Returns:
         The episode and its score. What a plug-in raises is in the score's ``error``.
@@ -133,8 +142,10 @@ def run_episode(
         planner = create_planner(planner, seed)
     if isinstance(predictor, str):
         predictor = create_predictor(predictor, seed)
+    if isinstance(traffic, str):
+        traffic = create_traffic(traffic, seed)
     config = SimulationConfig(replan_every=replan_every)
-    episode = simulate(scenario, planner, predictor, Arm(arm), config)
+    episode = simulate(scenario, planner, predictor, Arm(arm), config, traffic)
     return Driven(episode, score(scenario, episode))
 
 
@@ -143,6 +154,7 @@ def run_suite(
     planner: type[Planner] | str = "mpc",
     predictor: type[Predictor] | str = "dos",
     *,
+    traffic: type[Traffic] | str = "replay",
     out: str | Path | None = None,
     progress: Progress = lambda done, total: None,
     executor: Executor | None = None,
@@ -154,6 +166,7 @@ def run_suite(
         source: Where the scenarios are, as ``find_scenarios`` takes it.
         planner: A planner's class, or the name of one.
         predictor: A predictor's class, or the name of one.
+        traffic: Who else is on the road: a traffic's class, or the name of one.
         out: The run folder; ``runs/<date and time>`` by default.
         progress: Called with the number of finished episodes and of all.
         executor: Drives the episodes; worker processes do by default.
@@ -175,6 +188,7 @@ def run_suite(
         source=str(source),
         planner=_spec(planner),
         predictor=_spec(predictor),
+        traffic=_spec(traffic),
         **{"workers": os.cpu_count() or 1, "cache": True, **settings},
     )
     return open_run(run(config, ProgressObserver(progress), executor).path)

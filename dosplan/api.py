@@ -51,7 +51,7 @@ def _refuse_overrides(plugin: type, base: type, instead: Mapping[str, str]) -> N
 
 @dataclass(frozen=True)
 class NoSettings:
-    """The settings of a planner that has no options."""
+    """The settings of a planner or a traffic that has no options."""
 
 
 @dataclass(frozen=True)

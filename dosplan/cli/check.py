@@ -72,9 +72,10 @@ def _report(spec: str, limit: float) -> Report:
     from dosplan.plugins.isolated import check_isolated
     from dosplan.plugins.registry import PluginKind, RegistryError, list_plugins
 
-    named = [k for k in PluginKind if spec in {plugin.name for plugin in list_plugins(k)}]
+    kinds = (PluginKind.PLANNER, PluginKind.PREDICTOR)
+    named = [k for k in kinds if spec in {plugin.name for plugin in list_plugins(k)}]
     complaints = []
-    for kind in named or PluginKind:
+    for kind in named or kinds:
         try:
             return check_isolated(kind, spec, limit)
         except RegistryError as error:

@@ -27,8 +27,8 @@ class ListCommand:
         parser.add_argument(
             "what",
             nargs="?",
-            choices=("planners", "predictors", "scenarios"),
-            help="what to list (default: planners and predictors)",
+            choices=("planners", "predictors", "traffic", "scenarios"),
+            help="what to list (default: planners, predictors and traffic)",
         )
         parser.add_argument(
             "source",
@@ -64,8 +64,8 @@ def _list_plugins(options: argparse.Namespace) -> None:
     from dosplan.plugins.registry import PluginKind, list_plugins
     from dosplan.report.tables import table
 
-    kinds = [kind for kind in PluginKind if options.what in (None, f"{kind.word}s")]
-    plugins = {f"{kind.word}s": list_plugins(kind) for kind in kinds}
+    kinds = [kind for kind in PluginKind if options.what in (None, kind.plural)]
+    plugins = {kind.plural: list_plugins(kind) for kind in kinds}
     tables = [
         table(
             [title, "target", "from"],

@@ -85,8 +85,10 @@ class RunCommand:
             source=options.source,
             planner=options.planner,
             predictor=options.predictor,
+            traffic=options.traffic,
             planner_options=_chosen(options.settings, "planner"),
             predictor_options=_chosen(options.settings, "predictor"),
+            traffic_options=_chosen(options.settings, "traffic"),
             arms=tuple(Arm(arm) for arm in options.arms) if options.arms else tuple(Arm),
             workers=options.workers,
             limit=options.limit,
@@ -157,6 +159,11 @@ def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--planner", default="mpc", help=f"{PLUGIN_HELP} (default: %(default)s)")
     parser.add_argument("--predictor", default="dos", help="likewise (default: %(default)s)")
+    parser.add_argument(
+        "--traffic",
+        default="replay",
+        help="who else is on the road, likewise (default: %(default)s, as recorded)",
+    )
     parser.add_argument(
         "--set",
         dest="settings",
@@ -231,12 +238,13 @@ def _setting(text: str) -> Setting:
     key, equals, value = text.partition("=")
     plugin, _, name = key.partition(".")
     if (
-        plugin not in ("planner", "predictor")
+        plugin not in ("planner", "predictor", "traffic")
         or not equals
         or not all(part.isidentifier() for part in name.split("."))
     ):
         raise argparse.ArgumentTypeError(
-            f"{text!r:.100} is not of the form planner.NAME=VALUE or predictor.NAME=VALUE"
+            f"{text!r:.100} is not of the form planner.NAME=VALUE, predictor.NAME=VALUE or "
+            "traffic.NAME=VALUE"
         )
     try:
         return plugin, name, parse_yaml(value)

@@ -1,1 +1,1 @@
-"""Finds planners and predictors, builds them with their options, and checks their contract."""
+"""Finds plug-ins, builds them with their options, and checks their contract."""

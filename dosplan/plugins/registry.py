@@ -20,6 +20,7 @@ from typing import Any, Final
 from dosplan.api import Planner, PluginSpec, Predictor, PredictorSettings
 from dosplan.plugins.files import load_file, loaded_file, local_modules
 from dosplan.plugins.settings import SettingsError, apply_options, plain_settings
+from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import DosplanError, did_you_mean, failure_place, one_line
 
 _NO_OPTIONS: Final[Mapping[str, object]] = MappingProxyType({})
@@ -30,15 +31,21 @@ class RegistryError(DosplanError, ValueError):
 
 
 class PluginKind(Enum):
-    """What can be plugged in: the word for messages, the entry-point group and the base class."""
+    """What can be plugged in: the word for one and for many, and the base class."""
 
-    PLANNER = ("planner", "dosplan.planners", Planner)
-    PREDICTOR = ("predictor", "dosplan.predictors", Predictor)
+    PLANNER = ("planner", "planners", Planner)
+    PREDICTOR = ("predictor", "predictors", Predictor)
+    TRAFFIC = ("traffic", "traffic", Traffic)
 
-    def __init__(self, word: str, group: str, base: type[Any]) -> None:
+    def __init__(self, word: str, plural: str, base: type[Any]) -> None:
         self.word = word
-        self.group = group
+        self.plural = plural
         self.base = base
+
+    @property
+    def group(self) -> str:
+        """The group of its entry points."""
+        return f"dosplan.{self.plural}"
 
 
 @dataclass(frozen=True)
@@ -60,7 +67,7 @@ def list_plugins(kind: PluginKind) -> list[PluginInfo]:
     """Lists the installed plug-ins by name, without importing any.
 
     Args:
-        kind: Planners or predictors.
+        kind: Planners, predictors or traffic.
 
     Returns:
         One entry per offer; a name that two distributions offer appears twice.
@@ -173,6 +180,24 @@ def create_predictor(
     """
     predictor: Predictor = create_plugin(PluginKind.PREDICTOR, spec, seed, options)
     return predictor
+
+
+def create_traffic(spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS) -> Traffic:
+    """Builds the traffic that ``spec`` names.
+
+    Args:
+        spec: As for ``find_planner``.
+        seed: Seed of the run.
+        options: As for ``choose_planner``.
+
+    Returns:
+        The traffic.
+
+    Raises:
+        RegistryError: As for ``choose_planner``, or its constructor raises.
+    """
+    traffic: Traffic = create_plugin(PluginKind.TRAFFIC, spec, seed, options)
+    return traffic
 
 
 def find_plugin(kind: PluginKind, spec: str) -> Any:
@@ -336,7 +361,7 @@ def _installed(name: str, kind: PluginKind) -> str:
         names = [offer.name for offer in list_plugins(kind)]
         raise RegistryError(
             f"no {kind.word} is called {name!r}{did_you_mean(name, names)}; "
-            f"`dosplan list {kind.word}s` shows them all"
+            f"`dosplan list {kind.plural}` shows them all"
         )
     if len(offers) > 1:
         givers = ", ".join(f"{offer.target} from {offer.distribution}" for offer in offers)
@@ -352,9 +377,9 @@ def _is_plugin(value: object, kind: PluginKind) -> bool:
 
 
 def _check_class(found: object, spec: str, kind: PluginKind) -> None:
-    base = kind.base.__name__
     if not _is_plugin(found, kind):
-        raise RegistryError(f"{kind.word} {spec!r} is not a subclass of dosplan.api.{base}")
+        base = f"{kind.base.__module__}.{kind.base.__name__}"
+        raise RegistryError(f"{kind.word} {spec!r} is not a subclass of {base}")
     missing = sorted(getattr(found, "__abstractmethods__", ()))
     if missing:
         raise RegistryError(f"{kind.word} {spec!r} does not implement {', '.join(missing)}")

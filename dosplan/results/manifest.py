@@ -25,9 +25,11 @@ class RunSettings:
         source: Where the scenarios are, as ``dosplan.scenario.find_scenarios`` takes it.
         planner: Planner, as ``dosplan.plugins.registry`` finds it.
         predictor: Predictor, likewise.
+        traffic: Who else is on the road, likewise.
         planner_options: What was set of the planner's settings: what JSON can hold, see
             ``dosplan.plugins.settings``.
         predictor_options: Likewise of the predictor's.
+        traffic_options: Likewise of the traffic's.
         arms: Arms to drive.
         workers: Number of worker processes on this machine.
         limit: Number of scenarios to drive, the first ones; None drives all.
@@ -45,8 +47,10 @@ class RunSettings:
     source: str = "suite"
     planner: str = "mpc"
     predictor: str = "dos"
+    traffic: str = "replay"
     planner_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     predictor_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    traffic_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     arms: tuple[Arm, ...] = tuple(Arm)
     workers: int = 1
     limit: int | None = None
@@ -68,8 +72,9 @@ class RunManifest:
         config: The settings of the run.
         planner: Name of the planner, with its version.
         predictor: Name of the predictor, likewise.
-        settings: All settings of ``planner`` and ``predictor``, defaults and the plug-ins within
-            them included; as options of the plug-in, they give the same one.
+        traffic: Name of the traffic.
+        settings: All settings of ``planner``, ``predictor`` and ``traffic``, defaults and the
+            plug-ins within them included; as options of the plug-in, they give the same one.
         scenarios: Ids of the scenarios, in their order: with the arms, every episode of the run.
         digests: SHA-256 of the content of the plug-ins' files, weights and scenario files; what
             tells that a run cannot be resumed since they changed.
@@ -83,6 +88,7 @@ class RunManifest:
     config: RunSettings
     planner: str
     predictor: str
+    traffic: str = "replay"
     settings: Mapping[str, Any] = field(default_factory=dict)
     scenarios: tuple[str, ...]
     digests: Mapping[str, str] = field(default_factory=dict)

@@ -96,10 +96,12 @@ def summary_title(summary: Summary) -> str:
         for plugin, chosen in (
             ("planner", run.planner_options),
             ("predictor", run.predictor_options),
+            ("traffic", run.traffic_options),
         )
         for name, value in chosen.items()
     )
-    told = ", ".join([f"seed {run.seed}", *options])
+    traffic = [] if run.traffic == "replay" else [f"traffic {run.traffic}"]
+    told = ", ".join([*traffic, f"seed {run.seed}", *options])
     return f"{run.planner} with {run.predictor} on {run.source}, {told}{mark}"
 
 

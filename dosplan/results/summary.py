@@ -36,8 +36,10 @@ class RunTitle:
         source: Where the scenarios were, as it was given to the run.
         planner: Name of the planner, with its version.
         predictor: Name of the predictor, likewise.
+        traffic: Name of the traffic.
         planner_options: Options of the planner.
         predictor_options: Options of the predictor.
+        traffic_options: Options of the traffic.
         seed: Seed of everything random.
         ranked: Whether the run kept the rules: false where the predictor may have seen the future.
     """
@@ -45,8 +47,10 @@ class RunTitle:
     source: str
     planner: str
     predictor: str
+    traffic: str = "replay"
     planner_options: Mapping[str, Any]
     predictor_options: Mapping[str, Any]
+    traffic_options: Mapping[str, Any] = field(default_factory=dict)
     seed: int
     ranked: bool
 
@@ -140,8 +144,10 @@ def _summary(
             source=config.source,
             planner=manifest.planner,
             predictor=manifest.predictor,
+            traffic=manifest.traffic,
             planner_options=config.planner_options,
             predictor_options=config.predictor_options,
+            traffic_options=config.traffic_options,
             seed=config.seed,
             ranked=config.ranked,
         ),

@@ -50,7 +50,7 @@ class RunConfig(RunSettings):
                 raise RunError(f"{name} is {value}; it must be more than 0")
         if self.seed < 0:
             raise RunError(f"seed is {self.seed}; it must not be negative")
-        for name in ("planner_options", "predictor_options"):
+        for name in ("planner_options", "predictor_options", "traffic_options"):
             object.__setattr__(self, name, _plain(getattr(self, name), name))
 
 

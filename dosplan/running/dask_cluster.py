@@ -22,7 +22,9 @@ from typing import Any, Final
 
 from dosplan import __version__
 from dosplan.plugins.registry import (
+    PluginKind,
     choose_planner,
+    choose_plugin,
     choose_predictor,
     portable_options,
     target,
@@ -235,10 +237,13 @@ def _anywhere(config: RunConfig) -> RunConfig:
     """The same run for a worker that stands in another folder: paths are absolute."""
     planner = choose_planner(config.planner, config.planner_options)
     predictor = choose_predictor(config.predictor, config.predictor_options)
+    traffic = choose_plugin(PluginKind.TRAFFIC, config.traffic, config.traffic_options)
     return replace(
         config,
         planner=target(planner.plugin),
         predictor=target(predictor.plugin),
+        traffic=target(traffic.plugin),
         planner_options=portable_options(planner),
         predictor_options=portable_options(predictor),
+        traffic_options=portable_options(traffic),
     )

@@ -15,14 +15,15 @@ import traceback
 from bdb import BdbQuit
 from dataclasses import dataclass
 
-from dosplan.api import Planner, Predictor
-from dosplan.plugins.registry import create_planner, create_predictor
+from dosplan.api import OraclePredictor, Planner, Predictor
+from dosplan.plugins.registry import create_planner, create_predictor, create_traffic
 from dosplan.results.recording import pack_recording
 from dosplan.results.rows import row_line
 from dosplan.running.config import RunConfig, RunError
 from dosplan.scenario import ScenarioRef, load_scenario
 from dosplan.scoring.score import failed_score, score
 from dosplan.simulation.loop import SimulationConfig, run_episode
+from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import one_line
 from dosplan.system.workers import seed_globals
 from dosplan.types import Arm, EpisodeEnd, Score
@@ -56,7 +57,7 @@ class Session:
         """
         self._config = config
         self._attended = attended
-        self._plugins: tuple[Planner, Predictor] | None = None
+        self._plugins: tuple[Planner, Predictor, Traffic] | None = None
 
     def drive(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
         """Drives, scores and records one episode.
@@ -77,11 +78,11 @@ class Session:
         plugins, self._plugins = self._plugins, None
         try:
             seed_globals(config.seed)
-            planner, predictor = plugins = plugins or make_plugins(config)
+            planner, predictor, traffic = plugins = plugins or make_plugins(config)
             seed_globals(config.seed)
             scenario = load_scenario(ref, cached=config.cache)
             loop = SimulationConfig(replan_every=config.replan_every)
-            episode = run_episode(scenario, planner, predictor, arm, loop, on_failure=raised.append)
+            episode = run_episode(scenario, planner, predictor, arm, loop, traffic, raised.append)
             row = score(scenario, episode)
             row_line(row)  # What is no number is told here, not when the runner appends the row.
             recording = pack_recording(scenario, episode)
@@ -117,18 +118,19 @@ def failed_result(ref: ScenarioRef, arm: Arm, error: BaseException) -> EpisodeRe
     return EpisodeResult(failed_score(ref.id, arm, one_line(error)), traceback=_text(error))
 
 
-def make_plugins(config: RunConfig) -> tuple[Planner, Predictor]:
+def make_plugins(config: RunConfig) -> tuple[Planner, Predictor, Traffic]:
     """Makes the plug-ins of a run.
 
     Args:
         config: The run.
 
     Returns:
-        The planner and the predictor.
+        The planner, the predictor and the traffic.
 
     Raises:
         RegistryError: One of them cannot be built.
-        RunError: The predictor does not predict as far as the planner looks ahead.
+        RunError: The predictor does not predict as far as the planner looks ahead, or is shown a
+            recording to which the traffic does not keep.
     """
     planner = create_planner(config.planner, config.seed, config.planner_options)
     predictor = create_predictor(config.predictor, config.seed, config.predictor_options)
@@ -137,7 +139,13 @@ def make_plugins(config: RunConfig) -> tuple[Planner, Predictor]:
             f"planner {planner.name} looks {planner.look_ahead} steps ahead, predictor "
             f"{predictor.name} predicts {predictor.horizon}; raise predictor.horizon"
         )
-    return planner, predictor
+    traffic = create_traffic(config.traffic, config.seed, config.traffic_options)
+    if isinstance(predictor, OraclePredictor) and not traffic.as_recorded:
+        raise RunError(
+            f"predictor {predictor.name} is shown the recording, which the traffic {traffic.name} "
+            "departs from; choose another predictor, or the traffic replay"
+        )
+    return planner, predictor, traffic
 
 
 def _text(error: BaseException) -> str:

@@ -12,12 +12,20 @@ import fcntl
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, redirect_stdout, suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import product
 from typing import Any, Final
 
 from dosplan.api import OraclePredictor
-from dosplan.plugins.registry import choose_planner, choose_predictor, record, source_files
+from dosplan.plugins.registry import (
+    PluginKind,
+    choose_planner,
+    choose_plugin,
+    choose_predictor,
+    record,
+    source_files,
+)
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, read_manifest, write_manifest
 from dosplan.results.markdown import summary_markdown
@@ -25,7 +33,7 @@ from dosplan.results.rows import append_row, read_rows, write_rows
 from dosplan.results.solutions import write_solutions
 from dosplan.results.summary import summarise_run, write_summary
 from dosplan.running.config import FREE, RunConfig, RunError
-from dosplan.running.executor import Executor, LocalExecutor, Task
+from dosplan.running.executor import Executor, LocalExecutor, Results, Task
 from dosplan.running.job import EpisodeResult, make_plugins
 from dosplan.running.progress import Observer
 from dosplan.scenario import ScenarioRef, find_scenarios
@@ -68,7 +76,8 @@ def run(
         kept, left = _unfinished(folder, tasks)
         observer.begin(dict.fromkeys(config.arms, len(refs)), kept)
         if left:
-            _drive(folder, config, left, executor or _executor(config), observer)
+            results = (executor or _executor(config)).drive(config, left)
+            _drive(folder, manifest.traffic, results, observer)
         by_task = {(row.scenario, row.arm): row for row in read_rows(folder.rows)}
         rows = [by_task[ref.id, arm] for ref, arm in tasks]
         write_rows(folder.rows, rows)
@@ -107,23 +116,22 @@ def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> tuple[list[Score], 
     return list(kept.values()), left
 
 
-def _drive(
-    folder: RunFolder, config: RunConfig, tasks: list[Task], executor: Executor, observer: Observer
-) -> None:
-    """Drives episodes and writes what they give as they end."""
-    with (
-        folder.rows.open("ab", buffering=0) as file,
-        closing(executor.drive(config, tasks)) as results,
-    ):
+def _drive(folder: RunFolder, traffic: str, results: Results, observer: Observer) -> None:
+    """Has episodes driven and writes what they give as they end."""
+    with folder.rows.open("ab", buffering=0) as file, closing(results):
         for (ref, arm), result in results:
             _write_files(folder, ref, arm, result)
-            append_row(file, result.row)
-            observer.add(result.row)
+            row = replace(result.row, traffic=traffic)  # One that never began does not know it.
+            append_row(file, row)
+            observer.add(row)
 
 
 def _write_files(folder: RunFolder, ref: ScenarioRef, arm: Arm, result: EpisodeResult) -> None:
+    recording = folder.recording(ref.id, arm)
     if result.recording is not None:
-        write_bytes(folder.recording(ref.id, arm), result.recording)
+        write_bytes(recording, result.recording)
+    else:  # Nor one of an attempt that was killed before its row was written.
+        recording.unlink(missing_ok=True)
     if result.traceback is not None:
         write_text(folder.traceback(ref.id, arm), result.traceback)
 
@@ -147,23 +155,30 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
     """Builds the plug-ins once, to check them, and describes the run."""
     planner = choose_planner(config.planner, config.planner_options)
     predictor = choose_predictor(config.predictor, config.predictor_options)
+    traffic = choose_plugin(PluginKind.TRAFFIC, config.traffic, config.traffic_options)
     if config.ranked and issubclass(predictor.plugin, OraclePredictor):
         raise RunError(
             f"predictor {predictor.plugin.name} is shown the future, so a ranked run refuses it; "
             "--unranked allows it and marks the results"
         )
     with redirect_stdout(sys.stderr):  # What a plug-in prints is no figure.
-        _, foreteller = make_plugins(config)
+        _, foreteller, _ = make_plugins(config)
     environment = describe_environment()
     return RunManifest(
         config=config.settings,
         planner=planner.plugin.name,
         predictor=predictor.plugin.name,
-        settings={"planner": record(planner), "predictor": record(predictor)},
+        traffic=traffic.plugin.name,
+        settings={
+            "planner": record(planner),
+            "predictor": record(predictor),
+            "traffic": record(traffic),
+        },
         scenarios=tuple(ref.id for ref in refs),
         digests={
             "planner file": content_digest(source_files(planner)),
             "predictor file": content_digest(source_files(predictor)),
+            "traffic file": content_digest(source_files(traffic)),
             "weights": content_digest(foreteller.weight_files()),
             "scenario files": content_digest(ref.path for ref in refs),
         },
@@ -209,10 +224,11 @@ def _identity(manifest: RunManifest) -> dict[str, Any]:
         **{key: value for key, value in vars(manifest.config).items() if key not in FREE},
         "planner version": manifest.planner,
         "predictor version": manifest.predictor,
+        "traffic version": manifest.traffic,
         **{f"value of {name}": value for name, value in _leaves(manifest.settings)},
         "dosplan version": manifest.versions.get("dosplan"),
         "list of scenarios": manifest.scenarios,
-        "content of its planner, predictor, weight or scenario files": manifest.digests,
+        "content of its plug-in, weight or scenario files": manifest.digests,
     }
 
 

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from dosplan.api import NoSettings
 from dosplan.types import (
     USER_SIZE,
     FloatArray,
@@ -69,20 +70,21 @@ class Traffic(ABC):
 
     Attributes:
         name: Name that goes into results; a changed behaviour is a new name.
-        settings: Dataclass of the options that a user may set, or None.
+        settings: The frozen dataclass of its options; the constructor takes an instance of it.
         as_recorded: Whether everybody drives as recorded, whatever the ego does. The tracks of an
             episode are then those of the scenario, and only then may a predictor be shown them.
     """
 
     name: ClassVar[str]
-    settings: ClassVar[type[Any] | None] = None
+    settings: ClassVar[type[Any]] = NoSettings
     as_recorded: ClassVar[bool] = False
 
-    def __init__(self, *, seed: int = 0) -> None:
+    def __init__(self, *, seed: int = 0, settings: Any = NoSettings()) -> None:
         """Keeps the seed; every random choice of a traffic must come from it and the scenario.
 
         Args:
             seed: Seed of the run.
+            settings: The options; a traffic that has some keeps what it needs of them.
         """
         self.seed = seed
 
@@ -119,13 +121,14 @@ class Replay(Traffic):
     name = "replay"
     as_recorded = True
 
-    def __init__(self, *, seed: int = 0) -> None:
+    def __init__(self, *, seed: int = 0, settings: NoSettings = NoSettings()) -> None:
         """Makes it; nothing here is random.
 
         Args:
             seed: Seed of the run.
+            settings: There are none.
         """
-        super().__init__(seed=seed)
+        super().__init__(seed=seed, settings=settings)
         self._recording = nobody(0)
 
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:

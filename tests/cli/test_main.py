@@ -245,7 +245,7 @@ def test_a_full_disk_behind_stdout_is_one_line() -> None:
         (["compare", "x" * 5000], "File name too long"),
         (["run", "no/such/folder"], "no/such/folder"),
         (["run", "{scenes}", "--planner", "mcp"], "did you mean 'mpc'?"),
-        (["run", "--set", "gain"], "'gain' is not of the form planner.NAME=VALUE or predictor"),
+        (["run", "--set", "gain"], "'gain' is not of the form planner.NAME=VALUE, predictor"),
         (["run", "--set", "planner.gain"], "'planner.gain' is not of the form planner.NAME=VALUE"),
         (["run", "--set", "planner.=1"], "'planner.=1' is not of the form planner.NAME=VALUE"),
         (["run", "--set", "vehicle.mass=1"], "is not of the form planner.NAME=VALUE"),
@@ -350,7 +350,7 @@ def test_list_shows_plugins_and_writes_them(
     shown = capsys.readouterr().out
     assert "dosplan_mpc.planner:MpcPlanner" in shown
     figures = read_json(path)
-    assert figures.keys() == {"planners", "predictors"}
+    assert figures.keys() == {"planners", "predictors", "traffic"}
     assert {
         "name": "mpc",
         "target": "dosplan_mpc.planner:MpcPlanner",

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from dosplan.plugins.registry import PluginKind, find_planner, find_predictor
+from dosplan.plugins.registry import PluginKind, find_plugin
 from tests.support.peers import is_missing
 
 ROOT = Path(__file__).parents[2]
@@ -73,13 +71,9 @@ def test_no_plugin_imports_another_kind_of_plugin_or_commonroad(file: Path) -> N
 
 @pytest.mark.parametrize("kind", list(PluginKind))
 def test_every_entry_point_of_this_distribution_resolves(kind: PluginKind) -> None:
-    finders: dict[PluginKind, Callable[[str], type[Any]]] = {
-        PluginKind.PLANNER: find_planner,
-        PluginKind.PREDICTOR: find_predictor,
-    }
     ours = [e for e in entry_points(group=kind.group) if e.dist and e.dist.name == "dosplan"]
     assert ours
     here = [e for e in ours if not is_missing(e.name)]
-    names = [finders[kind](e.name).name for e in here]
+    names = [find_plugin(kind, e.name).name for e in here]
     assert len(set(names)) == len(names), "versioned names must tell plug-ins apart"
     assert all(e.module.partition(".")[0] in sys.modules for e in here)

@@ -24,7 +24,7 @@ from dosplan.results.rows import read_rows
 from dosplan.running import job
 from dosplan.running import run as runner
 from dosplan.running.executor import Results, Task
-from dosplan.running.job import Session
+from dosplan.running.job import EpisodeResult, Session
 from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunConfig, RunError, run
 from dosplan.scenario import ScenarioError, find_scenarios
@@ -32,11 +32,12 @@ from dosplan.scoring.score import failed_score
 from dosplan.system import workers
 from dosplan.system.files import FileError, read_json
 from dosplan.types import Arm, Outcome
-from tests.support import faulty
+from tests.support import faulty, traffic
 from tests.support.runs import run_here
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
 FAULTY = Path(faulty.__file__)
+SHY = f"{traffic.__file__}:ShyTraffic"
 STEPS = 10
 
 
@@ -192,6 +193,7 @@ def test_one_arm_alone_has_no_comparison(scenes: Path, tmp_path: Path) -> None:
         ({"seed": 1}, "seed"),
         ({"limit": 2}, "limit"),
         ({"planner": f"{FAULTY}:SlowPlanner"}, "planner"),
+        ({"traffic": SHY}, "traffic"),
         ({"arms": (Arm.WITH_DOS,)}, "arms"),
         ({"ranked": False}, "ranked"),
         ({"predictor_options": {"horizon": 10}}, "predictor_options"),
@@ -209,19 +211,24 @@ def test_another_configuration_overwrites_nothing(
     assert [path.name for path in config.out.iterdir()] == ["run.json"]
 
 
-@pytest.mark.parametrize("changed", ["planner.py", "scenes/ZAM_Test-0_1_T-1.xml"])
+@pytest.mark.parametrize("changed", ["planner.py", "traffic.py", "scenes/ZAM_Test-0_1_T-1.xml"])
 def test_other_content_of_the_same_files_is_another_run(
     scenes: Path, tmp_path: Path, changed: str
 ) -> None:
     shutil.copy(FAULTY, tmp_path / "planner.py")
+    shutil.copy(traffic.__file__, tmp_path / "traffic.py")
     shutil.copytree(scenes, tmp_path / "scenes")
     config = _config(tmp_path / "run", tmp_path / "scenes", limit=1)
-    config = replace(config, planner=f"{tmp_path / 'planner.py'}:CoastPlanner")
+    config = replace(
+        config,
+        planner=f"{tmp_path / 'planner.py'}:CoastPlanner",
+        traffic=f"{tmp_path / 'traffic.py'}:ShyTraffic",
+    )
     refs = find_scenarios(config.source)[:1]
     runner._open_folder(RunFolder(config.out), runner._manifest(config, refs))
     with (tmp_path / changed).open("a") as file:
         file.write("\n")
-    with pytest.raises(RunError, match="another content of its planner, predictor, weight or"):
+    with pytest.raises(RunError, match="another content of its plug-in, weight or"):
         run(config)
 
 
@@ -263,6 +270,54 @@ def test_a_summary_is_headed_by_what_was_set(scenes: Path, tmp_path: Path) -> No
     assert heading.endswith(", seed 0, predictor.z=0.7")
 
 
+def test_the_traffic_of_a_run_is_in_its_files_and_in_every_row(
+    scenes: Path, tmp_path: Path
+) -> None:
+    config = _config(tmp_path / "run", scenes, "LeakyPlanner", limit=2, traffic=SHY)
+    folder = run_here(replace(config, traffic_options={"near": 9}))
+    manifest = read_json(folder.manifest)
+    assert (manifest["traffic"], manifest["config"]["traffic"]) == ("shy-v1", SHY)
+    assert manifest["config"]["traffic_options"] == {"near": 9}
+    assert manifest["settings"]["traffic"] == {"near": 9.0}
+    assert read_json(folder.summary)["run"]["traffic"] == "shy-v1"
+    assert "traffic shy-v1, seed 0, traffic.near=9" in folder.summary_text.read_text()
+    assert {row.traffic for row in read_rows(folder.rows)} == {"shy-v1"}
+    recording = load_recording(folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS))
+    assert recording.tracks is not None
+    assert 900 in recording.tracks.ids
+
+
+def test_an_episode_that_never_began_names_the_traffic_and_leaves_no_old_file(
+    scenes: Path, tmp_path: Path
+) -> None:
+    config = _config(tmp_path / "run", scenes, limit=1, traffic=SHY)
+    folder = run_here(config)
+    lines = folder.rows.read_bytes().splitlines(keepends=True)
+    folder.rows.write_bytes(lines[1])  # As a kill leaves it: the file is written, not its row.
+    file = folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS)
+    assert file.is_file()
+
+    class Failing:
+        def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
+            for ref, arm in tasks:
+                yield (ref, arm), EpisodeResult(failed_score(ref.id, arm, "took too long"))
+
+    run(config, executor=Failing())
+    first, _ = read_rows(folder.rows)
+    assert (first.error, first.traffic) == ("took too long", "shy-v1")
+    assert not file.exists()
+
+
+def test_a_predictor_that_sees_the_recording_needs_traffic_that_keeps_to_it(
+    scenes: Path, tmp_path: Path
+) -> None:
+    seer = f"{FAULTY}:SeerPredictor"
+    config = _config(tmp_path / "run", scenes, predictor=seer, ranked=False, traffic=SHY)
+    with pytest.raises(RunError, match=r"seer-v1 is shown the recording, which the traffic shy-v1"):
+        run_here(config)
+    assert not config.out.exists()
+
+
 def test_a_predictor_that_sees_the_future_is_refused_or_marked(
     scenes: Path, tmp_path: Path
 ) -> None:
@@ -280,6 +335,9 @@ def test_a_predictor_that_sees_the_future_is_refused_or_marked(
     [
         ({"planner": "no-such"}, RegistryError),
         ({"predictor": "no-such"}, RegistryError),
+        ({"traffic": "no-such"}, RegistryError),
+        ({"traffic": SHY, "traffic_options": {"far": 1.0}}, RegistryError),
+        ({"traffic": f"{FAULTY}:CoastPlanner"}, RegistryError),
         ({"planner_options": {"gain": 1.0}}, RegistryError),
         (
             {"planner": "TunedPlanner", "planner_options": {"acceleration": "fast"}},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -22,7 +22,12 @@ from dosplan.types import (
     Tracks,
 )
 
-NEAR = 12.0  # m
+
+@dataclass(frozen=True)
+class Shyness:
+    """From what distance of the ego someone stands, m."""
+
+    near: float = 12.0
 
 
 class ShyTraffic(Traffic):
@@ -32,6 +37,11 @@ class ShyTraffic(Traffic):
     """
 
     name = "shy-v1"
+    settings = Shyness
+
+    def __init__(self, *, seed: int = 0, settings: Shyness = Shyness()) -> None:
+        super().__init__(seed=seed, settings=settings)
+        self.near = settings.near
 
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:
         self.recorded, self.first_step = scenario.tracks, first_step
@@ -43,7 +53,7 @@ class ShyTraffic(Traffic):
         tracks, centre = self.recorded, self.vehicle.centre(ego[-2])
         rows = np.arange(len(tracks.ids))
         before = tracks.states[rows, self.clock]
-        waits = np.linalg.norm(before[:, :2] - centre, axis=1) < NEAR
+        waits = np.linalg.norm(before[:, :2] - centre, axis=1) < self.near
         self.clock = np.minimum(self.clock + ~waits, tracks.steps - 1)
         states = np.array(tracks.states[rows, self.clock])
         states[waits, USER_VELOCITY] = 0.0

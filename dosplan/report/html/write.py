@@ -120,12 +120,14 @@ def _facts(manifest: RunManifest) -> dict[str, str]:
         for plugin, chosen in (
             ("planner", config.planner_options),
             ("predictor", config.predictor_options),
+            ("traffic", config.traffic_options),
         )
         for name, value in chosen.items()
     }
     facts = {
         "Planner": manifest.planner,
         "Predictor": manifest.predictor,
+        "Traffic": manifest.traffic,
         "Options": ", ".join(f"{name} = {value}" for name, value in options.items()),
         "Scenarios": f"{len(manifest.scenarios)} of {config.source}",
         "Seed": str(config.seed),

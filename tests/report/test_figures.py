@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -32,9 +31,10 @@ from dosplan.report.figures import (
 )
 from dosplan.report.figures.sources import Z95, Published, default_results
 from dosplan.report.figures.style import save
-from dosplan.results.intervals import mean_interval, share_interval
+from dosplan.results.intervals import metric_interval
 from dosplan.results.rows import read_rows, write_rows
 from dosplan.scenario import find_scenarios, load_scenario
+from dosplan.scoring.metrics import find_metric
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import FileError, read_json, write_json
 from dosplan.types import Arm, FloatArray
@@ -209,9 +209,11 @@ def test_planning_shows_the_shares_of_the_summaries(published: Published) -> Non
         for arm, *drawn in zip(Arm, _bars(good), _bars(bad), _bars(speed), strict=True):
             for names, (_, points, bars) in zip(keys, drawn, strict=False):
                 for name, point, bar in zip(names, points, bars, strict=True):
-                    n, rate = summary[arm.value]["n"], summary[arm.value][name]
-                    expected = share_interval(round(rate * n), n)
-                    assert point[0] == pytest.approx(100.0 * rate)
+                    assert point[0] == pytest.approx(100.0 * summary[arm.value][name])
+                    metric = find_metric(name.removesuffix("_rate"))
+                    rows = [row for row in published.rows(run) if row.arm is arm]
+                    expected = metric_interval(metric, rows)
+                    assert expected is not None
                     assert bar[:, 0] == pytest.approx(100.0 * np.array(expected[1:]), abs=1e-9)
             _, ((velocity, _),), (bar,) = drawn[2]
             assert velocity == pytest.approx(summary[arm.value]["velocity"])
@@ -409,31 +411,6 @@ def test_what_draws_nothing_does_not_pay_for_matplotlib() -> None:
     code += "import dosplan.explain, dosplan.results.comparison, dosplan.evaluation.evaluate\n"
     code += "assert 'matplotlib' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
-
-
-def test_intervals_have_known_answers() -> None:
-    """Wilson: (p + z2/2n -+ z sqrt(pq/n + z2/4n2)) / (1 + z2/n); 0 of n is bounded by z2/(n+z2)."""
-    assert share_interval(0, 150) == pytest.approx((0.0, 0.0, 3.8415 / 153.8415), abs=1e-5)
-    assert share_interval(5, 10) == pytest.approx((0.5, 0.23659, 0.76341), abs=1e-5)
-    constant = mean_interval(np.full(7, 3.0))
-    assert constant == (3.0, 3.0, 3.0)
-    # The standard error of the mean of 400 coin tosses is 0.025.
-    value, low, high = mean_interval(np.tile([0.0, 1.0], 200))
-    assert value == 0.5
-    assert (low, high) == pytest.approx((0.5 - 0.049, 0.5 + 0.049), abs=0.003)
-
-
-def test_the_interval_of_many_scenarios_needs_little_memory() -> None:
-    """Ten thousand samples of 2,000 values, all at once, are 320 MB."""
-    values = np.arange(2000.0)
-    tracemalloc.start()
-    _, low, high = mean_interval(values)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 40e6
-    # 1.96 standard errors of the mean of 2,000 numbers drawn from 0 ... 1999.
-    half = 1.96 * np.std(values) / np.sqrt(2000.0)
-    assert (low, high) == pytest.approx((999.5 - half, 999.5 + half), abs=0.03 * half)
 
 
 def test_the_manifest_of_figures_names_a_module_for_each() -> None:

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multinomial, ttest_rel
 
+from dosplan.results.intervals import effective_number
 from dosplan.results.paired import (
     Difference,
-    effective_pairs,
     mean_difference,
     share_difference,
     tango_interval,
@@ -23,6 +23,8 @@ RNG = np.random.default_rng(0)
 # Scenarios of each place in the published run on recorded scenarios: 39 places, 150 scenarios.
 SIZES = [20, 14, 12, 11, 11, 9, 6, 5, 5, 4, 4] + [3] * 6 + [2] * 9 + [1] * 13
 RECORDED = [f"p{place}" for place, size in enumerate(SIZES) for _ in range(size)]
+
+SUITE = [f"p{place}" for place in range(12) for _ in range(12 + (place < 6))]
 
 
 def _each(n: int) -> list[str]:
@@ -48,9 +50,9 @@ def _holds(found: Difference, truth: float) -> bool:
         # Tango (1998), section 6: sleeping difficulties, and soft contact lenses at 90 %.
         pytest.param(9, 3, 32, 0.95, (-0.027, 0.390), id="sleeping difficulties"),
         pytest.param(0, 1, 44, 0.90, (-0.096, 0.037), id="contact lenses"),
-        # Fagerland, Lydersen, Laake, "Recommended tests and confidence intervals for paired
-        # binomial proportions", Statistics in Medicine 33, 2014.
-        pytest.param(1, 7, 21, 0.95, (-0.517, -0.026), id="airway hyper-responsiveness"),
+        # Fagerland, Lydersen, Laake, "Statistical Analysis of Contingency Tables", 2017, chapter 8:
+        # complete response before and after consolidation therapy.
+        pytest.param(6, 16, 161, 0.95, (-0.1240, -0.0054), id="consolidation therapy"),
     ],
 )
 def test_tango_gives_the_published_limits(
@@ -105,8 +107,10 @@ def test_an_interval_of_single_places_is_tangos() -> None:
 @given(st.lists(st.sampled_from([-1.0, 0.0, 1.0]), min_size=2, max_size=40))
 def test_every_scenario_twice_at_its_place_tells_no_more(found: list[float]) -> None:
     differences = np.array(found)
-    once = effective_pairs(differences, _each(len(found)))
-    twice = effective_pairs(np.repeat(differences, 2), [s for s in _each(len(found)) for _ in "ab"])
+    once = effective_number(differences, _each(len(found)))
+    twice = effective_number(
+        np.repeat(differences, 2), [s for s in _each(len(found)) for _ in "ab"]
+    )
     assert once == len(found)
     if np.ptp(differences) > 0.0:
         assert twice <= once * (1.0 + 1e-9)
@@ -168,8 +172,11 @@ def _coverage(places: Sequence[str], differ: float, draws: int = 300) -> tuple[f
     return by_place / draws, by_scenario / draws
 
 
-def test_coverage_holds_where_the_scenarios_of_a_place_resemble_each_other() -> None:
-    by_place, by_scenario = _coverage(RECORDED, differ=0.15)
+@pytest.mark.parametrize("places", [RECORDED, SUITE], ids=["39 places", "12 places"])
+def test_coverage_holds_where_the_scenarios_of_a_place_resemble_each_other(
+    places: list[str],
+) -> None:
+    by_place, by_scenario = _coverage(places, differ=0.15)
     assert by_scenario < 0.80
     assert by_place > 0.90
 

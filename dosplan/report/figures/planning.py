@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
 from dosplan.report.film.scene import ARM_COLOURS
-from dosplan.results.intervals import Interval, mean_interval, share_interval
+from dosplan.results.intervals import Interval, metric_interval
 from dosplan.results.markdown import ARM_TITLES
 from dosplan.scoring.metrics import find_metric
 from dosplan.system.files import FileError
@@ -44,12 +44,12 @@ def draw(published: Published) -> Figure:
         arms = {arm: [row for row in rows if row.arm is arm] for arm in Arm}
         if not all(arms.values()):
             raise FileError(f"{published.path / run} holds one arm only; drive both")
-        speeds = {arm: [row.velocity for row in held if row.steps] for arm, held in arms.items()}
-        if not all(speeds.values()):
+        speeds = {arm: metric_interval(find_metric("velocity"), arms[arm]) for arm in arms}
+        velocities = {arm: [found] for arm, found in speeds.items() if found is not None}
+        if len(velocities) < len(arms):
             raise FileError(f"{published.path / run} holds an arm in which nobody drove a step")
         _shares(good, arms, GOOD)
         _shares(bad, arms, BAD)
-        velocities = {arm: [mean_interval(np.array(found))] for arm, found in speeds.items()}
         _intervals(speed, velocities, [""])
         good.set_title(f"{title}, n = {len(arms[Arm.WITH_DOS])}", loc="left", fontweight="bold")
     for axes, label in zip(panels[-1], ("share, %", "share, %", "velocity, m/s"), strict=True):
@@ -65,9 +65,8 @@ def _shares(axes: Axes, arms: dict[Arm, list[Score]], names: Sequence[str]) -> N
     shown = [find_metric(name) for name in names]
     found = {}
     for arm, rows in arms.items():
-        values = [metric.values(rows) for metric in shown]
-        shares = [share_interval(int(one.sum()), len(one)) for one in values]
-        found[arm] = [Interval(*(100.0 * end for end in share)) for share in shares]
+        shares = [metric_interval(metric, rows) for metric in shown]
+        found[arm] = [Interval(*(100.0 * end for end in share)) for share in shares if share]
     _intervals(axes, found, [metric.short.lower() for metric in shown])
 
 

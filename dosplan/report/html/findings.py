@@ -1,11 +1,12 @@
 """The tables of a page: headline with intervals, outcome by group, coverage beside collisions.
 
-The interval of a share is Wilson's, that of a mean a percentile bootstrap over scenarios; intervals
-and tests of differences are those of ``dosplan.results.paired``. All are at 95 %.
+Intervals are those of ``dosplan.results.intervals``, differences those of
+``dosplan.results.paired``. All are at 95 %.
 """
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final
@@ -15,11 +16,11 @@ import numpy as np
 from dosplan.report.html.cases import OUTCOME_WORDS, Case
 from dosplan.report.html.coverage import Coverage, total
 from dosplan.report.html.sides import Pairing, Side
-from dosplan.results.intervals import mean_interval, share_interval
+from dosplan.results.intervals import metric_interval
 from dosplan.results.markdown import interval_text
 from dosplan.results.paired import Difference
 from dosplan.scoring import metrics
-from dosplan.scoring.metrics import Aggregate, Group, Metric, find_metric
+from dosplan.scoring.metrics import Group, Metric, find_metric
 from dosplan.types import STEP_SECONDS, FloatArray, Outcome, Score
 
 _LOOK_AHEAD: Final = (1.0, 2.0, 3.0)  # s; where coverage is given beside collisions.
@@ -249,16 +250,11 @@ def _covered(coverage: Iterable[Coverage], seconds: float) -> str:
 
 def _cell(metric: Metric, rows: Sequence[Score], figure: float | None) -> dict[str, str]:
     """A metric on one side: its figure, and the 95 % interval of a share or a mean."""
-    interval = None
-    if figure is not None and metric.aggregate is Aggregate.SHARE:
-        values = metric.values(rows)
-        interval = share_interval(int(values.sum()), len(values))
-    elif figure is not None and metric.aggregate is Aggregate.MEAN:
-        interval = mean_interval(metric.values(rows))
+    interval = metric_interval(metric, rows)
     return {
         "value": metric.shown(figure),
         "interval": ""
-        if interval is None
+        if interval is None or math.isnan(interval.low)
         else f"{metric.shown(interval.low)} to {metric.shown(interval.high)}",
     }
 

@@ -32,6 +32,11 @@ class RunFolder:
         return self.path / "run.json"
 
     @property
+    def lock(self) -> Path:
+        """``.lock``: there while a process drives the run, and where one was killed."""
+        return self.path / ".lock"
+
+    @property
     def rows(self) -> Path:
         """``scenarios.jsonl``: one row for each episode."""
         return self.path / "scenarios.jsonl"

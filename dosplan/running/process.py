@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import time
 from collections.abc import Iterator
 from concurrent.futures import CancelledError, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from threading import Event, Lock
 from typing import Any, Final
 
@@ -30,7 +29,7 @@ from dosplan.running.job import EpisodeResult, Session, failed_result
 from dosplan.scenario import ScenarioRef
 from dosplan.scoring.score import failed_score
 from dosplan.system.errors import one_line
-from dosplan.system.workers import cause_of_death, prepare_worker
+from dosplan.system.workers import cause_of_death, end_worker, prepare_worker, started_by
 from dosplan.types import Arm
 
 _LOOK_EVERY: Final = 0.05  # s
@@ -93,8 +92,11 @@ class EpisodeProcess:
     def close(self) -> None:
         """Ends the process; a later ``drive`` would start another."""
         if self._pool is not None:
+            pid = self._pid.value  # 0 as long as it has not started.
+            started = started_by(pid) if pid else []
             self._pool.stop()  # type: ignore[no-untyped-call]
-            _kill_group(self._pid.value)
+            if pid:
+                end_worker(pid, started)
             self._pool.join()
             self._pool = None
 
@@ -158,7 +160,7 @@ class EpisodeProcess:
         if isinstance(error, BrokenProcessPool):
             raise _NotTakenUpError from error
         if isinstance(error, ProcessExpired):
-            _kill_group(error.pid)
+            end_worker(error.pid)
             return cause_of_death(error.exitcode)
         return None if error is None else one_line(error)
 
@@ -248,12 +250,6 @@ def _drive(ref: ScenarioRef, arm: Arm) -> EpisodeResult:
         return _Worker.session.drive(ref, arm)
     except BaseException as error:  # KeyboardInterrupt: here only a plug-in raises it.
         return failed_result(ref, arm, error)
-
-
-def _kill_group(pid: int) -> None:
-    if pid:
-        with suppress(ProcessLookupError):
-            os.killpg(pid, signal.SIGKILL)
 
 
 def _resident_bytes(pid: int) -> int | None:

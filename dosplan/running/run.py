@@ -8,10 +8,9 @@ moment is resumed by the same command. The rows end up in the order of the manif
 
 from __future__ import annotations
 
-import fcntl
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, redirect_stdout, suppress
+from contextlib import closing, contextmanager, redirect_stdout
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import product
@@ -38,6 +37,7 @@ from dosplan.running.job import EpisodeResult, make_plugins
 from dosplan.running.progress import Observer
 from dosplan.scenario import ScenarioRef, find_scenarios
 from dosplan.system.files import remove_half_written, write_bytes, write_text
+from dosplan.system.locks import exclusive
 from dosplan.system.provenance import content_digest, describe_environment
 from dosplan.types import Arm, Score
 
@@ -139,15 +139,12 @@ def _write_files(folder: RunFolder, ref: ScenarioRef, arm: Arm, result: EpisodeR
 @contextmanager
 def _held(folder: RunFolder) -> Iterator[None]:
     """Keeps a second runner out of the folder; the system lets go when the process ends."""
-    with folder.manifest.open("rb") as file:
-        with suppress(OSError):  # A file system without locks: go on, as there is no other way.
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise RunError(
-                    f"another process is driving the run in {folder.path}; "
-                    "wait for it, or choose another --out"
-                ) from None
+    with exclusive(folder.lock) as alone:
+        if not alone:
+            raise RunError(
+                f"another process is driving the run in {folder.path}; "
+                "wait for it, or choose another --out"
+            )
         yield
 
 

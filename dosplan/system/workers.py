@@ -12,12 +12,13 @@ import os
 import random
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from threading import Thread
 from typing import Final
 
 import numpy as np
+import psutil
 from pebble import ProcessPool
 
 _PR_SET_PDEATHSIG: Final = 1
@@ -104,7 +105,8 @@ def prepare_worker() -> None:
     Its prints are kept out of the figures on stdout. It leads a process group of its own, so that
     what a plug-in starts can be ended with it, and it ends with the process that started it.
     """
-    os.setpgrp()
+    if hasattr(os, "setpgrp"):
+        os.setpgrp()
     os.dup2(2, 1)
     Thread(target=_end_with_parent, daemon=True).start()
     if sys.platform == "linux":
@@ -112,8 +114,46 @@ def prepare_worker() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
+def started_by(pid: int) -> list[psutil.Process]:
+    """Lists what the plug-ins of a worker have started, for ``end_worker`` to end it.
+
+    Args:
+        pid: The worker's process id.
+
+    Returns:
+        All of it; nothing where there are process groups, which know it themselves.
+    """
+    if hasattr(os, "killpg"):
+        return []
+    try:
+        return list(psutil.Process(pid).children(recursive=True))
+    except psutil.NoSuchProcess:
+        return []
+
+
+def end_worker(pid: int, started: Iterable[psutil.Process] = ()) -> None:
+    """Ends a worker and what its plug-ins have started, whatever they are doing.
+
+    Where there are no process groups (Windows), what a worker has started can be listed only as
+    long as the worker is there: what one that crashed has started goes on.
+
+    Args:
+        pid: Its process id; nothing happens where it and its process group have ended.
+        started: What ``started_by`` has listed of it.
+    """
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError):
+            os.killpg(pid, signal.SIGKILL)
+        return
+    for process in started:
+        with suppress(psutil.NoSuchProcess):
+            process.kill()
+    with suppress(psutil.NoSuchProcess):
+        psutil.Process(pid).kill()
+
+
 def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()  # However it ends: killed, too, when it can no longer stop its workers.
-        os.killpg(0, signal.SIGKILL)
+        end_worker(os.getpid(), started_by(os.getpid()))

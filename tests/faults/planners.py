@@ -47,10 +47,20 @@ def _hang_with_the_lock() -> None:
     re.match(r"(a+)+$", "a" * 64 + "b")  # Takes longer than anybody waits, in one call.
 
 
-def _leave_a_child() -> None:
+def _start_a_child() -> None:
     child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"])
-    Path(os.environ["CHILD_PID_FILE"]).write_text(str(child.pid))
+    with Path(os.environ["CHILD_PID_FILE"]).open("a") as file:
+        file.write(f"{child.pid}\n")
+
+
+def _leave_a_child() -> None:
+    _start_a_child()
     os._exit(5)
+
+
+def _hang_with_a_child() -> None:
+    _start_a_child()
+    time.sleep(3600.0)
 
 
 FAULTS: dict[str, tuple[Callable[[], Any], str]] = {
@@ -75,6 +85,7 @@ FAULTS: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "stop": (lambda: os.kill(os.getpid(), signal.SIGSTOP), "timed out after "),
     "hang": (lambda: time.sleep(3600.0), "timed out after "),
+    "hang-with-child": (_hang_with_a_child, "timed out after "),
     "hang-locked": (_hang_with_the_lock, "timed out after "),
     "eat": (_eat, "took more than the memory limit of 700 MB"),
     "eat-locked": (_eat_with_the_lock, "took more than the memory limit of 700 MB"),

@@ -33,8 +33,9 @@ from dosplan_dos.predictor import DEFAULT_SETS, SETS, DosPredictor, DosSettings,
 from dosplan_mpc.compiled import CompileError, is_whole
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.nlp import Guess, MpcProblem, problems
+from dosplan_mpc.obstacles import ForbiddenSets
 from dosplan_mpc.shape import STATIONS, station_offsets
-from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, STAGE_HEAD, STATE_SIZE, STATION_SIZE
+from dosplan_mpc.stage import STATE_SIZE, Reference, StageParameters, Station
 from dosplan_net.encoder import MAP, SCENE, shipped_weights
 from dosplan_net.engine import Engine
 from dosplan_net.export import export
@@ -52,6 +53,8 @@ from dosplan.simulation.world import World
 from dosplan.system.files import write_json
 from dosplan.system.provenance import describe_environment
 from dosplan.types import (
+    EGO_VELOCITY,
+    EGO_X,
     STEP_SECONDS,
     Arm,
     EpisodeEnd,
@@ -282,15 +285,10 @@ def measure_compiled() -> Figures:
         compiled = MpcProblem(config, VEHICLE, STEP_SECONDS)
     n = config.horizon
     states = np.zeros((n + 1, STATE_SIZE))
-    states[:, 0] = np.arange(n + 1)
-    states[:, 3] = 10.0
-    stages = np.zeros((n + 1, interpreted.stage_size))
-    stages[:, 0], stages[:, 4] = states[:, 0], states[:, 3]
-    edges = stages[:, REFERENCE_SIZE:STAGE_HEAD].reshape(n + 1, STATIONS, STATION_SIZE)
-    edges[..., 0] = states[:, :1] + station_offsets(VEHICLE)
-    edges[..., -2:] = (-2.0, 5.0)
-    stages[:, STAGE_HEAD:] = (12.0, -0.5, 0.3, 0.0, 0.0, 0.5, 1000.0, *EMPTY_SLOT)
-    guess = Guess(states, np.zeros((n, 2)), np.zeros(n), states[:, 0])
+    states[:, EGO_X] = np.arange(n + 1)
+    states[:, EGO_VELOCITY] = 10.0
+    stages = _straight_stages(states[:, EGO_X], config.slots)
+    guess = Guess(states, np.zeros((n, 2)), np.zeros(n), states[:, EGO_X])
     solve = [
         partial(problem.solve, states[0], stages, guess, np.zeros((n, config.slots)))
         for problem in (interpreted, compiled)
@@ -298,6 +296,39 @@ def measure_compiled() -> Figures:
     times = [[cpu_time(action) for action in solve] for _ in range(SOLVES)]
     slow, quick = np.median(times, axis=0).tolist()
     return {"virtual_machine": slow, "compiled": quick, "ratio": quick / slow}
+
+
+def _straight_stages(x: FloatArray, slots: int) -> StageParameters:
+    """A straight road along +x at 10 m/s, with a set on it."""
+    n, zero = len(x) - 1, np.zeros(len(x))
+    beside = x[:, None] + station_offsets(VEHICLE)
+    sets = ForbiddenSets(
+        ids=np.array([1]),
+        centre=np.tile([12.0, -0.5], (1, n, 1)),
+        matrix=np.tile(np.diag([0.3, 0.5]), (1, n, 1, 1)),
+        penalty=np.full((1, n), 1000.0),
+    )
+
+    def along_x(x: FloatArray) -> FloatArray:
+        return np.stack([x, *[np.zeros_like(x)] * 3], axis=-1)
+
+    return StageParameters(
+        reference=Reference(
+            path=along_x(x),
+            velocity=np.full(len(x), 10.0),
+            offset=zero,
+            station=zero,
+            station_weight=zero,
+            heading=zero,
+            heading_weight=zero,
+        ),
+        stations=Station(
+            path=along_x(beside),
+            right=np.full((len(x), STATIONS), -2.0),
+            left=np.full((len(x), STATIONS), 5.0),
+        ),
+        slots=sets.fill(slots),
+    )
 
 
 def measure_startup() -> dict[str, Figures]:

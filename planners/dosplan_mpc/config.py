@@ -1,8 +1,38 @@
-"""Settings of the planner; the defaults were chosen on training scenarios only."""
+"""Settings of the planner; the defaults were chosen on training scenarios only.
+
+Each part of the planner has settings of its own. Any of them can be set by name, as in
+``--set planner.sampler.lane=3.0``.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, fields
+from typing import Any
+
+
+def _check(settings: Any, positive: Collection[str] = (), shares: Collection[str] = ()) -> None:
+    """Refuses numbers that are negative or not finite.
+
+    Args:
+        settings: An instance of a dataclass.
+        positive: Names of the numbers that may not be zero either.
+        shares: Names of those that may not be more than one.
+
+    Raises:
+        ValueError: A number is out of range.
+    """
+    for field in fields(settings):
+        name, value = field.name, getattr(settings, field.name)
+        if not isinstance(value, int | float):
+            continue
+        if not 0 <= value < math.inf:
+            raise ValueError(f"{name} is {value}, expected 0 or more")
+        if name in positive and value == 0:
+            raise ValueError(f"{name} is 0, expected more")
+        if name in shares and value > 1:
+            raise ValueError(f"{name} is {value}, expected 1 or less")
 
 
 @dataclass(frozen=True)
@@ -16,6 +46,221 @@ class Style:
 
     lateral: float
     longitudinal: float
+
+    def __post_init__(self) -> None:
+        _check(self, positive={"lateral", "longitudinal"})
+
+
+@dataclass(frozen=True)
+class PathSettings:
+    """Settings of the reference path and its edges (``reference``).
+
+    In a bend a car may swing out into a lane against it: a front that is l ahead of the rear axle
+    runs ``kappa l^2 / 2`` further out.
+
+    Attributes:
+        edge_reach: An edge counts this far along the path, so that a corner between two stations
+            is not missed, m.
+        swing: Room that a bend lends beyond the lane's edge, by its curvature, m2.
+        swing_reach: How far before and after a bend it is lent, m.
+        widest_swing: The most that is lent, m.
+        end_margin: Distance that the ego's front keeps from the end of the map, m.
+    """
+
+    edge_reach: float = 0.55
+    swing: float = 10.0
+    swing_reach: float = 8.0
+    widest_swing: float = 1.5
+    end_margin: float = 0.3
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+
+@dataclass(frozen=True)
+class GoalSettings:
+    """Settings of the search for a goal's region along the path (``goal_window``).
+
+    Attributes:
+        spacing: Distance of the places along the path that are tried, m.
+        lateral_spacing: Distance of the lateral offsets that are tried, m.
+        lateral_reach: Largest lateral offset that is tried, m.
+        edge_margin: Distance that is kept from the region's edge, m.
+        turn: Angle by which the path may miss the goal's heading window, rad; the ego turns
+            towards it.
+        lateral_margin: Distance to the lateral edges at which the ego aims to drive, m.
+        common_share: A lateral offset counts where it is inside the region at this share of the
+            places at which the best offset is.
+    """
+
+    spacing: float = 0.25
+    lateral_spacing: float = 0.1
+    lateral_reach: float = 12.0
+    edge_margin: float = 0.2
+    turn: float = 0.3
+    lateral_margin: float = 0.5
+    common_share: float = 0.9
+
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            positive={"spacing", "lateral_spacing", "lateral_reach"},
+            shares={"common_share"},
+        )
+
+
+@dataclass(frozen=True)
+class SpeedSettings:
+    """Settings of the reference speed and of the way into a goal (``speed_profile``).
+
+    Attributes:
+        winding: Distance to both sides over which the change of steering is taken, m.
+        steering_share: Share of the largest steering rate that the reference speed asks for.
+        run_up: The reference accelerates at this many times the style's rate: the plan lags
+            behind it.
+        deadline_reserve: Time to spare before a goal's deadline, s.
+        depth_margin: Distance from the ends of a goal's region that is aimed at, m.
+        depth_share: The same as a share of the region's length, where that is less.
+        crawl: Speed below which whoever is too early for a goal waits for it, m/s.
+        waiting: Factor of ``station_weight`` while waiting: beyond the region's end is too far.
+        velocity_margin: Share of a goal's velocity window that is kept from both its ends.
+        approach_seconds: Time of driving over which the goal's offset is taken up, s.
+        shortest_approach: Shortest way over which it is, m.
+        approach_end: Share of that way after which the offset is reached.
+        heading_margin: Angle that is kept from the edges of a goal's heading window, rad.
+        heading_share: The same as a share of the window, where that is less.
+        early_metres: A goal's edges and heading count this far before its region, m.
+        late_metres: And this far behind it, m.
+        early_steps: And so many steps before its time window.
+    """
+
+    winding: float = 1.5
+    steering_share: float = 1.0
+    run_up: float = 1.4
+    deadline_reserve: float = 0.3
+    depth_margin: float = 1.0
+    depth_share: float = 0.3
+    crawl: float = 1.0
+    waiting: float = 20.0
+    velocity_margin: float = 0.15
+    approach_seconds: float = 3.0
+    shortest_approach: float = 10.0
+    approach_end: float = 0.8
+    heading_margin: float = 0.06
+    heading_share: float = 0.3
+    early_metres: float = 2.0
+    late_metres: float = 1.0
+    early_steps: int = 5
+
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            positive={"winding", "steering_share", "run_up", "shortest_approach", "approach_end"},
+            shares={"depth_share", "velocity_margin", "approach_end", "heading_share"},
+        )
+
+
+@dataclass(frozen=True)
+class TrafficSettings:
+    """Settings of leader, follower and cruising speed (``traffic``).
+
+    Attributes:
+        side: Distance from the ego's lateral offset within which a road user is in its lane, m.
+        alignment: Cosine of the largest angle to the path of a road user in the lane.
+        ahead: Distance within which a leader counts, m.
+        behind: Distance within which a follower counts, m.
+        standstill_gap: Gap to a standing leader, m.
+        headway: Time gap to a leader, s.
+        pressing: Time gap below which a follower presses, s.
+        gap_gain: Share of the gap's error that is closed in a second, 1/s.
+    """
+
+    side: float = 1.7
+    alignment: float = 0.7
+    ahead: float = 80.0
+    behind: float = 40.0
+    standstill_gap: float = 2.0
+    headway: float = 0.8
+    pressing: float = 1.5
+    gap_gain: float = 0.5
+
+    def __post_init__(self) -> None:
+        _check(self, shares={"alignment"})
+
+
+@dataclass(frozen=True)
+class SetSettings:
+    """Settings of the forbidden sets (``obstacles``).
+
+    Attributes:
+        watched: Number of road users whose sets are widened; the nearest of them fill the slots.
+        relevant: Normalised distance to the guess beyond which a set is no constraint.
+        tail: Length that a follower's set is given to its rear, m.
+        release_seconds: Time after which a set that holds the ego now counts in full, s.
+        smallest_release: Share below which such a set is never shrunk.
+        release_distance: Normalised distance that the ego has to a shrunk set.
+    """
+
+    watched: int = 16
+    relevant: float = 3.0
+    tail: float = 15.0
+    release_seconds: float = 1.5
+    smallest_release: float = 0.6
+    release_distance: float = 1.02
+
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            positive={"release_seconds", "smallest_release", "release_distance"},
+            shares={"smallest_release"},
+        )
+
+
+@dataclass(frozen=True)
+class SamplerSettings:
+    """Settings of the sampled alternatives (``sampler``), and of when they are solved.
+
+    Attributes:
+        accelerations: Constant accelerations that are tried beside the reference speed, m/s2.
+        overspeed: Speed above that of the reference and of now that no candidate exceeds, m/s.
+        manoeuvre_seconds: Times within which a lateral target is reached, s.
+        shortest_manoeuvre: Shortest way to it, m; a car cannot change its lane on the spot.
+        lane: Offset of a candidate that goes to the next lane, m.
+        edge_distance: Distance ahead at which the road's edges bound the lateral targets, m.
+        steepest: Largest angle to the path that the tracking law reacts to, rad.
+        lookahead_seconds: The tracking law closes an error over the way of this time, s.
+        shortest_lookahead: And over no shorter way than this, m.
+        slip_penalty: Distance off the road that leaving the friction circle by its radius is
+            worth, m.
+        slack_seen: Slack of a set above which a plan makes the planner look at candidates.
+        better: Share of its cost by which a candidate must beat the last plan to be solved.
+        worth_it: Cost by which it must beat it at least.
+    """
+
+    accelerations: tuple[float, ...] = (-8.0, -5.0, -3.0, -1.5, -0.7, 0.0, 0.7, 1.5, 2.5, 4.0)
+    overspeed: float = 3.0
+    manoeuvre_seconds: tuple[float, ...] = (1.5, 3.0)
+    shortest_manoeuvre: float = 8.0
+    lane: float = 3.4
+    edge_distance: float = 10.0
+    steepest: float = 0.8
+    lookahead_seconds: float = 0.6
+    shortest_lookahead: float = 3.0
+    slip_penalty: float = 5.0
+    slack_seen: float = 0.02
+    better: float = 0.25
+    worth_it: float = 3.0
+
+    def __post_init__(self) -> None:
+        _check(self, positive={"shortest_manoeuvre", "shortest_lookahead"})
+        if not all(map(math.isfinite, self.accelerations)):
+            raise ValueError(f"accelerations are {self.accelerations}, expected finite numbers")
+        if not self.manoeuvre_seconds or not all(0 < s < math.inf for s in self.manoeuvre_seconds):
+            raise ValueError(
+                f"manoeuvre_seconds are {self.manoeuvre_seconds}, expected one or more above 0"
+            )
+        if not self.steepest < math.pi / 2.0:
+            raise ValueError(f"steepest is {self.steepest}, expected less than pi / 2")
 
 
 @dataclass(frozen=True)
@@ -38,6 +283,8 @@ class MpcConfig:
         set_penalty: Exact penalty on entering a set, per unit of normalised distance.
         far_penalty: Share of it that counts at the last step; linear between.
         road_penalty: Exact penalty on leaving the corridor, 1/m.
+        slack_curvature: Small square of the slacks, which keeps the problem strictly convex.
+        norm_rounding: Rounds the tip of a set's norm, where it has no derivative.
         clearance: Distance that is kept from every set, m.
         road_margin: Distance that is kept from the corridor's edge, m.
         calm: How the reference speed is driven.
@@ -47,7 +294,15 @@ class MpcConfig:
         resample_every: Cycles between two looks at the sampled alternatives.
         max_iterations: Iterations the solver is given.
         tolerance: Tolerance of the solver.
+        initial_barrier: Barrier parameter the solver begins with; a small one keeps it near a good
+            guess.
         accept_residual: Largest constraint residual of a plan that is driven.
+        path: The reference path and its edges.
+        goal: The search for a goal's region along it.
+        speed: The reference speed and the way into a goal.
+        traffic: Leader, follower and cruising speed.
+        sets: The forbidden sets.
+        sampler: The sampled alternatives.
     """
 
     horizon: int = 30
@@ -65,6 +320,8 @@ class MpcConfig:
     set_penalty: float = 2000.0
     far_penalty: float = 0.1
     road_penalty: float = 1000.0
+    slack_curvature: float = 1e-2
+    norm_rounding: float = 1e-4
     clearance: float = 0.15
     road_margin: float = 0.05
     calm: Style = Style(lateral=4.0, longitudinal=2.5)
@@ -74,4 +331,21 @@ class MpcConfig:
     resample_every: int = 5
     max_iterations: int = 60
     tolerance: float = 1e-3
+    initial_barrier: float = 1e-3
     accept_residual: float = 0.02
+    path: PathSettings = PathSettings()
+    goal: GoalSettings = GoalSettings()
+    speed: SpeedSettings = SpeedSettings()
+    traffic: TrafficSettings = TrafficSettings()
+    sets: SetSettings = SetSettings()
+    sampler: SamplerSettings = SamplerSettings()
+
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            positive={
+                *("horizon", "discs", "slack_curvature", "norm_rounding", "grip"),
+                *("resample_every", "max_iterations", "tolerance", "initial_barrier"),
+            },
+            shares={"far_penalty", "grip"},
+        )

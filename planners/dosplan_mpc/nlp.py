@@ -17,11 +17,25 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dosplan.types import BoolArray, FloatArray, IntArray, SolveStatus
+from dosplan.types import (
+    EGO_STEERING,
+    EGO_VELOCITY,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    SolveStatus,
+)
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.compiled import Formulation
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.stage import STATE_SIZE, input_stage, stage_size, state_stage
+from dosplan_mpc.stage import (
+    INPUT_SIZE,
+    STATE_SIZE,
+    StageParameters,
+    input_stage,
+    stage_size,
+    state_stage,
+)
 
 
 @dataclass(frozen=True)
@@ -73,6 +87,45 @@ class Solution:
         return self.status in (SolveStatus.SOLVED, SolveStatus.ACCEPTED)
 
 
+class _Variables:
+    """Where states, inputs and slacks are in the vector of decisions, and their bounds.
+
+    fatrop wants them stage by stage: state, input (none at the last stage), slacks (none at the
+    first). ``casadi.Opti`` builds another graph, whose results round otherwise, and
+    ``struct_symSX`` interleaves only what every stage has; hence this is by hand.
+
+    Attributes:
+        count: Number of decisions.
+        states: (N + 1, 6) indices.
+        inputs: (N, 2) indices.
+        slacks: (N, M + 1) indices of the slacks of stages 1 .. N: those of the sets, the road's.
+        lower: (count,) lower bounds.
+        upper: (count,) upper bounds.
+    """
+
+    def __init__(self, config: MpcConfig, vehicle: VehicleParameters) -> None:
+        last = config.horizon
+        sizes = [
+            (STATE_SIZE, INPUT_SIZE if k < last else 0, config.slots + 1 if k > 0 else 0)
+            for k in range(last + 1)
+        ]
+        ends = np.cumsum(np.ravel(sizes))
+        blocks = np.split(np.arange(ends[-1]), ends[:-1])
+        self.count = int(ends[-1])
+        self.states: IntArray = np.stack(blocks[0::3])
+        self.inputs: IntArray = np.stack(blocks[1::3][:-1])
+        self.slacks: IntArray = np.stack(blocks[2::3][1:])
+        self.lower: FloatArray = np.full(self.count, -np.inf)
+        self.upper: FloatArray = np.full(self.count, np.inf)
+        # The first state is given.
+        steering, velocity = self.states[1:, EGO_STEERING], self.states[1:, EGO_VELOCITY]
+        self.lower[steering], self.upper[steering] = -vehicle.max_steering, vehicle.max_steering
+        self.lower[velocity], self.upper[velocity] = 0.0, vehicle.max_velocity
+        most = np.array([vehicle.max_steering_rate, vehicle.max_acceleration])
+        self.lower[self.inputs], self.upper[self.inputs] = -most, most
+        self.lower[self.slacks] = 0.0
+
+
 class MpcProblem:
     """The problem's graph, its solver and the layout of their vectors."""
 
@@ -85,74 +138,10 @@ class MpcProblem:
             dt: Step, s.
         """
         self.config = config
-        self.stage_size = stage_size(config)
-        n, m = config.horizon, config.slots
-        w: list[Any] = []
-        lower: list[float] = []
-        upper: list[float] = []
-        g: list[Any] = []
-        equality: list[bool] = []
-        offset = 0
-        states, inputs, slacks = [], [], []
-        indices_x, indices_u, indices_s = [], [], []
-        x_bound = [np.inf, np.inf, vehicle.max_steering, vehicle.max_velocity, np.inf, np.inf]
-        x_floor = [-np.inf, -np.inf, -vehicle.max_steering, 0.0, -np.inf, -np.inf]
-        u_bound = [vehicle.max_steering_rate, vehicle.max_acceleration]
-        for k in range(n + 1):
-            x = ca.SX.sym(f"x{k}", STATE_SIZE)
-            u = ca.SX.sym(f"u{k}", 2 if k < n else 0)
-            s = ca.SX.sym(f"s{k}", m + 1 if k > 0 else 0)
-            states.append(x)
-            inputs.append(u)
-            slacks.append(s)
-            w += [x, u, s]
-            indices_x.append(np.arange(offset, offset + STATE_SIZE))
-            offset += STATE_SIZE
-            lower += x_floor if k else [-np.inf] * STATE_SIZE
-            upper += x_bound if k else [np.inf] * STATE_SIZE
-            if k < n:
-                indices_u.append(np.arange(offset, offset + 2))
-                offset += 2
-                lower += [-bound for bound in u_bound]
-                upper += u_bound
-            if k:
-                indices_s.append(np.arange(offset, offset + m + 1))
-                offset += m + 1
-                lower += [0.0] * (m + 1)
-                upper += [np.inf] * (m + 1)
-        parameters = ca.SX.sym("P", self.stage_size, n + 1)
-        start = ca.SX.sym("start", STATE_SIZE)
-        drive, rate = input_stage(config, vehicle, dt), state_stage(config, vehicle)
-        cost: Any = 0
-        for k in range(n + 1):
-            if k < n:
-                reached, input_cost, input_limits = drive(states[k], inputs[k])
-                g.append(states[k + 1] - reached)
-                equality += [True] * STATE_SIZE
-                cost += input_cost
-            if k == 0:
-                g.append(states[0] - start)
-                equality += [True] * STATE_SIZE
-            h = []
-            if k > 0:
-                state_cost, slack_cost, limits = rate(states[k], slacks[k], parameters[:, k])
-                h.append(limits)
-                cost += (2.0 if k == n else 1.0) * state_cost
-                cost += slack_cost
-            if k < n:
-                h.append(input_limits)
-            g += h
-            equality += [False] * sum(part.numel() for part in h)
-        self.variables = offset
-        self._lower, self._upper = np.array(lower), np.array(upper)
+        self._variables = _Variables(config, vehicle)
+        graph, equality = _graph(config, vehicle, dt)
         self._equality: BoolArray = np.array(equality)
         self._g_upper = np.where(self._equality, 0.0, np.inf)
-        self._x: IntArray = np.array(indices_x)
-        self._u: IntArray = np.array(indices_u)
-        self._s: IntArray = np.array(indices_s)
-        decision, residual = ca.vertcat(*w), ca.vertcat(*g)
-        parameter = ca.vertcat(start, ca.vec(parameters))
-        nlp = {"x": decision, "p": parameter, "f": cost, "g": residual}
         options: dict[str, Any] = {
             "structure_detection": "auto",
             "equality": equality,
@@ -161,33 +150,33 @@ class MpcProblem:
             "fatrop": {
                 "print_level": 0,
                 "tolerance": config.tolerance,
-                "mu_init": 1e-3,
+                "mu_init": config.initial_barrier,
                 "max_iter": config.max_iterations,
             },
         }
-        self.formulation = Formulation(nlp, options)
+        self.formulation = Formulation(graph, options)
         self._solver = self.formulation.solver()
 
     def solve(
-        self, start: FloatArray, stages: FloatArray, guess: Guess, set_slack: FloatArray
+        self, start: FloatArray, stages: StageParameters, guess: Guess, set_slack: FloatArray
     ) -> Solution:
         """Solves the problem from a guess.
 
         Args:
             start: (6,) present state and previous acceleration.
-            stages: (N + 1, stage_size) parameters of the stages.
+            stages: Parameters of the stages, with M slots.
             guess: Where to begin.
             set_slack: (N, M) slacks of the sets to begin with.
 
         Returns:
             The solution; failure is a status, not an exception.
         """
-        point = np.zeros(self.variables)
-        point[self._x] = guess.states
-        point[self._u] = guess.inputs
-        point[self._s[:, :-1]] = set_slack
-        point[self._s[:, -1]] = guess.road_slack
-        parameter = np.concatenate([start, stages.ravel()])
+        variables = self._variables
+        point = np.zeros(variables.count)
+        point[variables.states] = guess.states
+        point[variables.inputs] = guess.inputs
+        point[variables.slacks] = np.column_stack([set_slack, guess.road_slack])
+        parameter = np.concatenate([start, stages.pack().ravel()])
         if not (np.all(np.isfinite(parameter)) and np.all(np.isfinite(point))):
             return self._failed(guess, set_slack, 0.0)  # fatrop would search for a step for ever.
         began = time.perf_counter()
@@ -195,34 +184,27 @@ class MpcProblem:
             result = self._solver(
                 x0=point,
                 p=parameter,
-                lbx=self._lower,
-                ubx=self._upper,
+                lbx=variables.lower,
+                ubx=variables.upper,
                 lbg=0.0,
                 ubg=self._g_upper,
             )
         except RuntimeError:  # CasADi's way of saying that an evaluation failed.
             return self._failed(guess, set_slack, time.perf_counter() - began)
         seconds = time.perf_counter() - began
-        stats = self._solver.stats()
         values = np.asarray(result["x"]).ravel()
         if not np.all(np.isfinite(values)):
             return self._failed(guess, set_slack, seconds)
-        g = np.asarray(result["g"]).ravel()
-        residual = float(
-            max(
-                np.max(np.where(self._equality, np.abs(g), -g)),
-                np.max(self._lower - values),
-                np.max(values - self._upper),
-            )
-        )
+        stats = self._solver.stats()
+        residual = self._residual(values, np.asarray(result["g"]).ravel())
         if residual > self.config.accept_residual:
             status = SolveStatus.MAX_ITERATIONS
         else:
             status = SolveStatus.SOLVED if stats["success"] else SolveStatus.ACCEPTED
-        slack = values[self._s]
+        slack = values[variables.slacks]
         return Solution(
-            states=values[self._x],
-            inputs=values[self._u],
+            states=values[variables.states],
+            inputs=values[variables.inputs],
             set_slack=slack[:, :-1],
             road_slack=slack[:, -1],
             cost=float(result["f"]),
@@ -230,6 +212,16 @@ class MpcProblem:
             status=status,
             iterations=int(stats["iter_count"]),
             seconds=seconds,
+        )
+
+    def _residual(self, values: FloatArray, g: FloatArray) -> float:
+        """Largest violation of a constraint or a bound."""
+        return float(
+            max(
+                np.max(np.where(self._equality, np.abs(g), -g)),
+                np.max(self._variables.lower - values),
+                np.max(values - self._variables.upper),
+            )
         )
 
     @staticmethod
@@ -245,6 +237,51 @@ class MpcProblem:
             iterations=0,
             seconds=seconds,
         )
+
+
+def _graph(
+    config: MpcConfig, vehicle: VehicleParameters, dt: float
+) -> tuple[dict[str, Any], list[bool]]:
+    """The problem's expressions, and for each constraint whether it is an equation.
+
+    Constraints come stage by stage: the next state, then the limits of the stage.
+    """
+    last = config.horizon
+    states = [ca.SX.sym(f"x{k}", STATE_SIZE) for k in range(last + 1)]
+    inputs = [ca.SX.sym(f"u{k}", INPUT_SIZE) for k in range(last)]
+    slacks = [ca.SX.sym(f"s{k}", config.slots + 1) for k in range(1, last + 1)]
+    parameters = ca.SX.sym("P", stage_size(config), last + 1)
+    start = ca.SX.sym("start", STATE_SIZE)
+    drive, rate = input_stage(config, vehicle, dt), state_stage(config, vehicle)
+    decisions: list[Any] = []
+    equations: list[tuple[Any, bool]] = []
+    cost: Any = 0
+    for k, x in enumerate(states):
+        decisions.append(x)
+        input_limits = []
+        if k < last:
+            decisions.append(inputs[k])
+            reached, input_cost, limits = drive(x, inputs[k])
+            equations.append((states[k + 1] - reached, True))
+            input_limits.append(limits)
+            cost += input_cost
+        if k == 0:
+            equations.append((x - start, True))
+        else:
+            slack = slacks[k - 1]
+            decisions.append(slack)
+            state_cost, slack_cost, limits = rate(x, slack, parameters[:, k])
+            equations.append((limits, False))
+            cost += (2.0 if k == last else 1.0) * state_cost
+            cost += slack_cost
+        equations += [(limits, False) for limits in input_limits]
+    graph = {
+        "x": ca.vertcat(*decisions),
+        "p": ca.vertcat(start, ca.vec(parameters)),
+        "f": cost,
+        "g": ca.vertcat(*(residual for residual, _ in equations)),
+    }
+    return graph, [equal for residual, equal in equations for _ in range(residual.numel())]
 
 
 @functools.lru_cache(maxsize=8)

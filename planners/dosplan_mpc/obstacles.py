@@ -14,34 +14,38 @@ lies between them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from dosplan.types import BoolArray, FloatArray, IntArray, Occupancy
-from dosplan_mpc.stage import EMPTY_SLOT
+from dosplan_mpc.config import SetSettings
+from dosplan_mpc.stage import EMPTY_SLOT, Slot
 
 _FAN = np.linspace(0.0, np.pi, 32, endpoint=False)
 _FAN_BOUND = (np.abs(np.cos(_FAN)) ** (4.0 / 3.0) + np.abs(np.sin(_FAN)) ** (4.0 / 3.0)) ** 0.75
 _FAN_MARGIN = 1.005
-_RELEASE_SECONDS = 1.5  # Time after which a set that holds the ego now counts in full.
-_SMALLEST_RELEASE = 0.6  # A set is never shrunk below this share.
-_CLEARANCE = 1.02  # Normalised distance that the ego keeps to a shrunk set.
 
 
 @dataclass(frozen=True)
 class ForbiddenSets:
     """Superellipses that the centres of the ego's discs have to stay out of.
 
+    A point p is inside where ``z1^4 + z2^4 < 1`` with ``z = M (p - c)``. Column t stands for t + 1
+    steps from now.
+
     Attributes:
         ids: (n,) ids of the road users.
-        slots: (n, T, 7) centre x, y, m, the two rows of M with ``z = M (p - c)``, 1/m, and the
-            penalty of a unit of normalised distance inside; a point is inside where
-            ``z1^4 + z2^4 < 1``. Column t stands for t + 1 steps from now.
+        centre: (n, T, 2) c, m.
+        matrix: (n, T, 2, 2) M, 1/m; its rows are along and across the road user.
+        penalty: (n, T) of a unit of normalised distance inside.
     """
 
     ids: IntArray
-    slots: FloatArray
+    centre: FloatArray
+    matrix: FloatArray
+    penalty: FloatArray
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Normalised distance: below one inside a set.
@@ -55,11 +59,10 @@ class ForbiddenSets:
         n, lead = len(self.ids), points.shape[:-3]
         steps, discs = points.shape[-3:-1]
         origin = points.reshape(-1, 2)[0]  # Map coordinates are large: digits would be lost.
-        matrix = self.slots[..., 2:6].reshape(n, steps, 2, 2)
-        shift = (matrix @ (self.slots[..., :2] - origin)[..., None])[..., 0]
+        shift = (self.matrix @ (self.centre - origin)[..., None])[..., 0]
         # z of all sets is one product per step: (T, D C, 2) @ (T, 2, 2 n).
         near = (points - origin).reshape(-1, steps, discs, 2).transpose(1, 2, 0, 3)
-        z = near.reshape(steps, -1, 2) @ matrix.transpose(1, 3, 2, 0).reshape(steps, 2, 2 * n)
+        z = near.reshape(steps, -1, 2) @ self.matrix.transpose(1, 3, 2, 0).reshape(steps, 2, 2 * n)
         z -= shift.transpose(1, 2, 0).reshape(steps, 1, 2 * n)
         z *= z
         z *= z
@@ -82,7 +85,33 @@ class ForbiddenSets:
         distance = self.distance(points).min(axis=-1)
         order = np.argsort(distance, kind="stable")[:count]
         order = order[distance[order] < within]
-        return ForbiddenSets(self.ids[order], self.slots[order])
+        return ForbiddenSets(
+            self.ids[order], self.centre[order], self.matrix[order], self.penalty[order]
+        )
+
+    def fill(self, count: int) -> Slot:
+        """The sets as the stages of the problem take them.
+
+        Args:
+            count: Number of slots M of a stage, at least that of the sets.
+
+        Returns:
+            Parts that begin with (T + 1, M); slots that are left over, and all of the first
+            stage, hold sets out of reach.
+        """
+
+        def filled(part: FloatArray, empty: npt.ArrayLike) -> FloatArray:
+            slots = np.empty((part.shape[1] + 1, count, *part.shape[2:]))
+            slots[:] = empty
+            slots[1:, : len(part)] = np.swapaxes(part, 0, 1)
+            return slots
+
+        return Slot(
+            centre=filled(self.centre, EMPTY_SLOT.centre),
+            first_row=filled(self.matrix[:, :, 0], EMPTY_SLOT.first_row),
+            second_row=filled(self.matrix[:, :, 1], EMPTY_SLOT.second_row),
+            penalty=filled(self.penalty, EMPTY_SLOT.penalty),
+        )
 
 
 def superellipse_axes(
@@ -145,48 +174,43 @@ def forbidden_sets(
     footprint = np.broadcast_to(occupancy.footprint[keep, None], semi_axes.shape)
     axes = superellipse_axes(footprint, semi_axes, turn, radius)
     cos, sin = np.cos(heading), np.sin(heading)
-    slots = np.stack(
-        [
-            centre[..., 0],
-            centre[..., 1],
-            cos / axes[..., 0],
-            sin / axes[..., 0],
-            -sin / axes[..., 1],
-            cos / axes[..., 1],
-            np.broadcast_to(penalty, heading.shape),
-        ],
-        axis=-1,
-    )
+    along, across = axes[..., 0], axes[..., 1]
+    matrix = np.stack([cos / along, sin / along, -sin / across, cos / across], axis=-1)
+    empty = np.array([EMPTY_SLOT.first_row, EMPTY_SLOT.second_row])
     return ForbiddenSets(
-        occupancy.ids[keep], np.where(valid[..., None], slots, np.array(EMPTY_SLOT))
+        ids=occupancy.ids[keep],
+        centre=np.where(valid[..., None], centre, EMPTY_SLOT.centre),
+        matrix=np.where(valid[..., None, None], matrix.reshape(*heading.shape, 2, 2), empty),
+        penalty=np.where(valid, penalty, EMPTY_SLOT.penalty),
     )
 
 
-def release(sets: ForbiddenSets, points: FloatArray, dt: float) -> ForbiddenSets:
+def release(
+    sets: ForbiddenSets, points: FloatArray, dt: float, settings: SetSettings
+) -> ForbiddenSets:
     """Shrinks sets that hold the ego already, so that it need not jump out of them.
 
     A set that contains the ego at the first step cannot be obeyed; left in full it would throw
     the ego aside. It begins at the size at which the ego is just outside and regains its full
-    size over ``_RELEASE_SECONDS``.
+    size over ``release_seconds``.
 
     Args:
         sets: Forbidden sets.
         points: (D, 2) centres of the ego's discs now, m.
         dt: Step, s.
+        settings: How small the sets become, and for how long.
 
     Returns:
         Sets of which none holds the ego by more than the smallest share allows.
     """
     if len(sets.ids) == 0:
         return sets
-    first = ForbiddenSets(sets.ids, sets.slots[:, :1])
+    first = ForbiddenSets(sets.ids, sets.centre[:, :1], sets.matrix[:, :1], sets.penalty[:, :1])
     now = first.distance(points[None])[:, 0]
-    share = np.clip(now / _CLEARANCE, _SMALLEST_RELEASE, 1.0)
-    time = dt * np.arange(sets.slots.shape[1]) / _RELEASE_SECONDS
+    share = np.clip(now / settings.release_distance, settings.smallest_release, 1.0)
+    time = dt * np.arange(sets.centre.shape[1]) / settings.release_seconds
     factor = share[:, None] + (1.0 - share[:, None]) * np.minimum(time, 1.0)
-    slots = sets.slots.copy()
-    slots[..., 2:6] /= factor[..., None]
-    return ForbiddenSets(sets.ids, slots)
+    return replace(sets, matrix=sets.matrix / factor[..., None, None])
 
 
 def stretch_back(sets: ForbiddenSets, rows: BoolArray, length: float) -> ForbiddenSets:
@@ -203,10 +227,10 @@ def stretch_back(sets: ForbiddenSets, rows: BoolArray, length: float) -> Forbidd
     Returns:
         The sets.
     """
-    slots = sets.slots.copy()
-    axis = slots[rows, :, 2:4]
+    centre, matrix = sets.centre.copy(), sets.matrix.copy()
+    axis = matrix[rows, :, 0]
     inverse = np.linalg.norm(axis, axis=-1, keepdims=True)
     direction = axis / inverse
-    slots[rows, :, :2] -= 0.5 * length * direction
-    slots[rows, :, 2:4] = direction / (1.0 / inverse + 0.5 * length)
-    return ForbiddenSets(sets.ids, slots)
+    centre[rows] -= 0.5 * length * direction
+    matrix[rows, :, 0] = direction / (1.0 / inverse + 0.5 * length)
+    return replace(sets, centre=centre, matrix=matrix)

@@ -1,9 +1,10 @@
 """Sampled alternatives: the initial guess, the passing side, and the fallback.
 
 Speed profiles times lateral targets times manoeuvre lengths, all at once. Each combination is a
-wish: a speed over time and an offset over arc length, a cubic from the present offset and heading
-to the target. A tracking law drives the vehicle model after every wish, so a candidate obeys the
-actuators and the vehicle model whatever was wished for, and any of them may be driven as it is.
+reference: a speed over time and an offset over arc length, a cubic from the present offset and
+heading to the target. A tracking law drives the vehicle model after every reference, so a candidate
+obeys the vehicle model and its actuators whatever its reference asks for, and any of them may be
+driven as it is.
 """
 
 from __future__ import annotations
@@ -13,24 +14,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath
-from dosplan.types import EGO_SIZE, FloatArray
+from dosplan.types import EGO_HEADING, EGO_SIZE, EGO_STEERING, EGO_VELOCITY, FloatArray
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.goal import SpeedProfile
+from dosplan_mpc.limits import grip, half_width
 from dosplan_mpc.nlp import Guess
 from dosplan_mpc.obstacles import ForbiddenSets
-from dosplan_mpc.reference import PATH_LEFT, PATH_RIGHT
+from dosplan_mpc.reference import PATH_LEFT, PATH_RIGHT, EgoOnPath
 from dosplan_mpc.shape import disc_offsets, station_offsets
-from dosplan_mpc.stage import STATE_SIZE
+from dosplan_mpc.speed_profile import SpeedProfile
+from dosplan_mpc.stage import (
+    ACCELERATION,
+    INPUT_SIZE,
+    PREVIOUS_ACCELERATION,
+    STATE_SIZE,
+    STEERING_RATE,
+)
 
-_ACCELERATIONS = np.array([-8.0, -5.0, -3.0, -1.5, -0.7, 0.0, 0.7, 1.5, 2.5, 4.0])
-_MANOEUVRE_SECONDS = np.array([1.5, 3.0])
-_SHORTEST_MANOEUVRE = 8.0  # m; a car cannot change its lane on the spot.
-_LANE = 3.4  # m; offset of a candidate that goes to the next lane.
-_STEEPEST = 0.8  # Largest angle to the path that the tracking law reacts to, rad.
-_LOOKAHEAD_SECONDS = 0.6
-_SLIP_PENALTY = 5.0  # m off the road that leaving the friction circle by its radius is worth
-_SHORTEST_LOOKAHEAD = 3.0  # m
+_CLOSEST_TO_CENTRE = 0.2  # Smallest 1 - kappa d: beyond a bend's centre the path means nothing.
+_STEEPEST_RATED = 1.0  # Largest angle to the path that the rating of a candidate reckons with, rad.
 
 
 @dataclass(frozen=True)
@@ -49,9 +51,25 @@ class Candidates:
     arclength: FloatArray
     offset: FloatArray
 
+    def guess(self, index: int) -> Guess:
+        """A candidate as an initial guess.
+
+        Args:
+            index: Which one.
+
+        Returns:
+            The guess.
+        """
+        return Guess(
+            states=self.states[index],
+            inputs=self.inputs[index],
+            road_slack=np.zeros(self.inputs.shape[1]),
+            arclength=self.arclength[index],
+        )
+
 
 @dataclass(frozen=True)
-class _Wishes:
+class _References:
     """What the candidates are asked to do.
 
     Attributes:
@@ -71,7 +89,10 @@ class _Wishes:
     target: FloatArray
 
     def offset_at(self, arclength: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Wanted offset and its first two derivatives at (C,) arc lengths: a cubic Hermite."""
+        """Offset that is asked for and its first two derivatives at (C,) arc lengths.
+
+        It is a cubic Hermite polynomial.
+        """
         part = np.clip((arclength - self.begin) / self.span, 0.0, 1.0)
         rise = self.target - self.offset
         value = (
@@ -106,6 +127,8 @@ class Sampler:
         self._dt = dt
         self._discs, _ = disc_offsets(vehicle, config.discs)
         self._stations = station_offsets(vehicle)
+        self._half_width = half_width(config, vehicle)
+        self._grip = grip(config, vehicle)
 
     def disc_centres(self, states: FloatArray) -> FloatArray:
         """Centres of the ego's covering discs.
@@ -116,105 +139,125 @@ class Sampler:
         Returns:
             (..., D, 2) m.
         """
-        direction = np.stack([np.cos(states[..., 4]), np.sin(states[..., 4])], axis=-1)
+        heading = states[..., EGO_HEADING]
+        direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         return np.asarray(states[..., None, :2] + self._discs[:, None] * direction[..., None, :])
 
-    def sample(
-        self, start: FloatArray, arclength: float, offset: float, profile: SpeedProfile
-    ) -> Candidates:
+    def sample(self, start: FloatArray, ego: EgoOnPath, profile: SpeedProfile) -> Candidates:
         """Samples from the present state.
 
         Args:
             start: (6,) present state.
-            arclength: Arc length of the rear axle, m.
-            offset: Its lateral offset, m.
+            ego: Where that is on the path.
             profile: Reference of the next steps.
 
         Returns:
             The candidates.
         """
-        n = self._config.horizon
-        time = self._dt * np.arange(n + 1)
-        v0 = start[3]
-        ceiling = max(v0, float(profile.velocity.max()) + 3.0)
-        constant = np.clip(v0 + _ACCELERATIONS[:, None] * time, 0.0, ceiling)
-        speed = np.vstack([constant, profile.velocity])
-        speed[:, 0] = v0
-        here = self._path.at(np.array(arclength))
-        ahead = self._path.at(np.array(arclength + 10.0))
-        room = self._vehicle.width / 2.0 + self._config.road_margin
-        left = max(float(ahead[PATH_LEFT]) - room, 0.0)
-        right = min(float(ahead[PATH_RIGHT]) + room, 0.0)
-        goal = float(profile.offset[-1])
-        targets = np.array(
-            [goal, offset, min(_LANE, left), max(-_LANE, right), 0.5 * left, 0.5 * right]
-        )
-        length = np.maximum(
-            max(v0, float(profile.velocity[-1])) * _MANOEUVRE_SECONDS, _SHORTEST_MANOEUVRE
+        settings = self._config.sampler
+        speeds = self._speeds(start[EGO_VELOCITY], profile)
+        targets = self._targets(ego, float(profile.offset[-1]))
+        fastest = max(start[EGO_VELOCITY], float(profile.velocity[-1]))
+        lengths = np.maximum(
+            fastest * np.array(settings.manoeuvre_seconds), settings.shortest_manoeuvre
         )
         # Every combination: C = speeds x targets x lengths.
-        i, j, k = (index.ravel() for index in np.indices((len(speed), len(targets), len(length))))
-        turn = np.clip(start[4] - here[PATH_HEADING], -_STEEPEST, _STEEPEST)
-        wishes = _Wishes(
-            speed=speed[i],
-            begin=arclength,
-            span=length[k],
-            offset=offset,
-            slope=float(np.tan(turn)) * max(1.0 - float(here[PATH_CURVATURE]) * offset, 0.2),
+        combinations = np.indices((len(speeds), len(targets), len(lengths)))
+        i, j, k = (index.ravel() for index in combinations)
+        here = self._path.at(np.array(ego.arclength))
+        turn = start[EGO_HEADING] - here[PATH_HEADING]
+        turn = np.clip(turn, -settings.steepest, settings.steepest)
+        shrink = max(1.0 - float(here[PATH_CURVATURE]) * ego.offset, _CLOSEST_TO_CENTRE)
+        references = _References(
+            speed=speeds[i],
+            begin=ego.arclength,
+            span=lengths[k],
+            offset=ego.offset,
+            slope=float(np.tan(turn)) * shrink,
             target=targets[j],
         )
-        return self._drive(start, wishes)
+        return self._drive(start, references)
 
-    def _drive(self, start: FloatArray, wishes: _Wishes) -> Candidates:
-        """Drives the vehicle model after the wishes.
+    def _speeds(self, velocity: float, profile: SpeedProfile) -> FloatArray:
+        """(speeds, N + 1) m/s: constant accelerations, and the reference itself."""
+        settings = self._config.sampler
+        time = self._dt * np.arange(self._config.horizon + 1)
+        ceiling = max(velocity, float(profile.velocity.max()) + settings.overspeed)
+        ramps = velocity + np.array(settings.accelerations)[:, None] * time
+        speeds = np.vstack([np.clip(ramps, 0.0, ceiling), profile.velocity])
+        speeds[:, 0] = velocity
+        return speeds
 
-        In arc length the offset's law is ``d'' = kappa_ego - kappa_path``: the wanted curvature
-        adds the wish's own and critically damped feedback over the length ``_lookahead``.
-        """
+    def _targets(self, ego: EgoOnPath, goal: float) -> FloatArray:
+        """(6,) lateral targets, m: the goal's, the present one, a lane and half the road aside."""
+        settings = self._config.sampler
+        ahead = self._path.at(np.array(ego.arclength + settings.edge_distance))
+        left = max(float(ahead[PATH_LEFT]) - self._half_width, 0.0)
+        right = min(float(ahead[PATH_RIGHT]) + self._half_width, 0.0)
+        beside = [min(settings.lane, left), max(-settings.lane, right)]
+        return np.array([goal, ego.offset, *beside, 0.5 * left, 0.5 * right])
+
+    def _drive(self, start: FloatArray, references: _References) -> Candidates:
+        """Drives the vehicle model after the references."""
         vehicle, dt, n = self._vehicle, self._dt, self._config.horizon
-        count = len(wishes.target)
+        count = len(references.target)
         states = np.empty((count, n + 1, STATE_SIZE))
         states[:, 0] = start
-        inputs = np.empty((count, n, 2))
+        inputs = np.empty((count, n, INPUT_SIZE))
         arclength, offset = np.empty((count, n + 1)), np.empty((count, n + 1))
-        arclength[:, 0], offset[:, 0] = wishes.begin, wishes.offset
-        grip = self._config.grip * vehicle.max_acceleration
+        arclength[:, 0], offset[:, 0] = references.begin, references.offset
         for step in range(n):
-            state, s, d = states[:, step, :EGO_SIZE], arclength[:, step], offset[:, step]
-            row = self._path.at(s)
-            curvature, turn = row[:, PATH_CURVATURE], state[:, 4] - row[:, PATH_HEADING]
-            wanted, first, second = wishes.offset_at(s)
-            reach = np.maximum(_LOOKAHEAD_SECONDS * state[:, 3], _SHORTEST_LOOKAHEAD)
-            bend = curvature / np.maximum(1.0 - curvature * d, 0.2) + second
-            bend += 2.0 * (first - np.tan(np.clip(turn, -_STEEPEST, _STEEPEST))) / reach
-            bend += (wanted - d) / reach**2
-            steering = np.clip(
-                np.arctan(vehicle.wheelbase * bend), -vehicle.max_steering, vehicle.max_steering
-            )
-            lateral = vehicle.lateral_acceleration(state[:, 3], state[:, 2])
-            friction = np.sqrt(np.maximum(grip**2 - lateral**2, 0.0))
-            engine = vehicle.engine_acceleration(state[:, 3])
-            rate, acceleration = inputs[:, step, 0], inputs[:, step, 1]
-            np.clip(
-                (steering - state[:, 2]) / dt,
-                -vehicle.max_steering_rate,
-                vehicle.max_steering_rate,
-                out=rate,
-            )
-            np.clip(
-                (wishes.speed[:, step + 1] - state[:, 3]) / dt,
-                -friction,
-                np.minimum(friction, engine),
-                out=acceleration,
-            )
-            states[:, step + 1, :EGO_SIZE] = vehicle.step(state, inputs[:, step], dt)
-            states[:, step + 1, 5] = acceleration
+            state, s = states[:, step, :EGO_SIZE], arclength[:, step]
+            steering = self._tracking_angle(state, s, offset[:, step], references)
+            self._actuate(state, steering, references.speed[:, step + 1], out=inputs[:, step])
+            reached = states[:, step + 1]
+            reached[:, :EGO_SIZE] = vehicle.step(state, inputs[:, step], dt)
+            reached[:, PREVIOUS_ACCELERATION] = inputs[:, step, ACCELERATION]
             # The model never reverses; rounding must not either.
-            np.maximum(states[:, step + 1, 3], 0.0, out=states[:, step + 1, 3])
+            np.maximum(reached[:, EGO_VELOCITY], 0.0, out=reached[:, EGO_VELOCITY])
             arclength[:, step + 1], offset[:, step + 1] = self._path.project(
-                states[:, step + 1, :2], s + dt * state[:, 3], iterations=1
+                reached[:, :2], s + dt * state[:, EGO_VELOCITY], iterations=1
             )
         return Candidates(states, inputs, arclength, offset)
+
+    def _tracking_angle(
+        self, state: FloatArray, s: FloatArray, offset: FloatArray, references: _References
+    ) -> FloatArray:
+        """(C,) steering angle, rad, that leads to the references' offsets.
+
+        In arc length the offset's law is ``d'' = kappa_ego - kappa_path``: the curvature that is
+        asked for adds the reference's own and critically damped feedback over the length of the
+        look-ahead.
+        """
+        settings, limit = self._config.sampler, self._vehicle.max_steering
+        row = self._path.at(s)
+        curvature, turn = row[:, PATH_CURVATURE], state[:, EGO_HEADING] - row[:, PATH_HEADING]
+        asked, first, second = references.offset_at(s)
+        reach = np.maximum(
+            settings.lookahead_seconds * state[:, EGO_VELOCITY], settings.shortest_lookahead
+        )
+        slope = np.tan(np.clip(turn, -settings.steepest, settings.steepest))
+        bend = curvature / np.maximum(1.0 - curvature * offset, _CLOSEST_TO_CENTRE) + second
+        bend += 2.0 * (first - slope) / reach
+        bend += (asked - offset) / reach**2
+        return np.clip(np.arctan(self._vehicle.wheelbase * bend), -limit, limit)
+
+    def _actuate(
+        self, state: FloatArray, steering: FloatArray, speed: FloatArray, out: FloatArray
+    ) -> None:
+        """Writes (C, 2) inputs that lead to steering angles and speeds as far as limits allow.
+
+        Not ``clip_input``: the plan keeps to the smaller friction circle of ``grip``, and cornering
+        does not go first, for a candidate that slips is rated and not repaired.
+        """
+        vehicle, dt = self._vehicle, self._dt
+        velocity, turned = state[:, EGO_VELOCITY], state[:, EGO_STEERING]
+        lateral = vehicle.lateral_acceleration(velocity, turned)
+        friction = np.sqrt(np.maximum(self._grip**2 - lateral**2, 0.0))
+        fastest = np.minimum(friction, vehicle.engine_acceleration(velocity))
+        rate = vehicle.max_steering_rate
+        np.clip((steering - turned) / dt, -rate, rate, out=out[:, STEERING_RATE])
+        np.clip((speed - velocity) / dt, -friction, fastest, out=out[:, ACCELERATION])
 
     def rate(
         self, candidates: Candidates, sets: ForbiddenSets, profile: SpeedProfile
@@ -229,52 +272,52 @@ class Sampler:
         Returns:
             (C,) costs.
         """
-        c, x = self._config, candidates.states
+        config, states = self._config, candidates.states
+        acceleration = states[:, 1:, PREVIOUS_ACCELERATION]
+        cost = self._tracking_cost(candidates, profile)[:, 1:].sum(axis=1)
+        cost += 0.5 * config.acceleration_weight * (acceleration**2).sum(axis=1)
+        outside = self._outside(candidates, profile)
+        outside = outside + config.sampler.slip_penalty * self._slip(states)
+        cost += config.road_penalty * outside[:, 1:].sum(axis=1)
+        if len(sets.ids):
+            distance = sets.distance(self.disc_centres(states[:, 1:]))
+            cost += (sets.penalty * np.maximum(1.0 - distance, 0.0)).sum(axis=(1, 2))
+        return np.asarray(cost)
+
+    def _tracking_cost(self, candidates: Candidates, profile: SpeedProfile) -> FloatArray:
+        """(C, N + 1) cost of being elsewhere or quicker than the reference."""
+        config, states = self._config, candidates.states
+        position = candidates.arclength + self._vehicle.rear_to_centre
+        return np.asarray(
+            0.5
+            * (
+                config.lateral_weight * (candidates.offset - profile.offset) ** 2
+                + config.velocity_weight * (states[..., EGO_VELOCITY] - profile.velocity) ** 2
+                + profile.station_weight * (position - profile.arclength) ** 2
+                + profile.heading_weight * (states[..., EGO_HEADING] - profile.heading) ** 2
+            )
+        )
+
+    def _outside(self, candidates: Candidates, profile: SpeedProfile) -> FloatArray:
+        """(C, N + 1) how far the ego reaches beyond the road's edges or those of a goal, m."""
         row = self._path.at(candidates.arclength)
-        half = self._vehicle.width / 2.0 + c.road_margin
-        turn = np.tan(np.clip(x[..., 4] - row[..., PATH_HEADING], -1.0, 1.0))
-        outside = np.zeros(x.shape[:2])
+        turn = candidates.states[..., EGO_HEADING] - row[..., PATH_HEADING]
+        slope = np.tan(np.clip(turn, -_STEEPEST_RATED, _STEEPEST_RATED))
+        half = self._half_width
+        outside = np.zeros(candidates.offset.shape)
         for ahead in self._stations:
             beside = self._path.at(candidates.arclength + ahead)
             # The ego's axis is a tangent; the path bends away from it by kappa l^2 / 2.
-            d = candidates.offset + ahead * turn - 0.5 * row[..., PATH_CURVATURE] * ahead**2
-            outside = np.maximum(outside, d + half - beside[..., PATH_LEFT])
-            outside = np.maximum(outside, beside[..., PATH_RIGHT] - d + half)
-        middle = candidates.offset + self._vehicle.rear_to_centre * turn
+            offset = candidates.offset + ahead * slope - 0.5 * row[..., PATH_CURVATURE] * ahead**2
+            outside = np.maximum(outside, offset + half - beside[..., PATH_LEFT])
+            outside = np.maximum(outside, beside[..., PATH_RIGHT] - offset + half)
+        middle = candidates.offset + self._vehicle.rear_to_centre * slope
         outside = np.maximum(outside, middle - profile.left)
-        outside = np.maximum(outside, profile.right - middle)
-        acceleration = x[:, 1:, 5]
-        lateral = self._vehicle.lateral_acceleration(x[..., 3], x[..., 2])
-        slip = np.maximum(np.abs(lateral) / (c.grip * self._vehicle.max_acceleration) - 1.0, 0.0)
-        cost = 0.5 * (
-            c.lateral_weight * (candidates.offset - profile.offset) ** 2
-            + c.velocity_weight * (x[..., 3] - profile.velocity) ** 2
-            + profile.station_weight
-            * (candidates.arclength + self._vehicle.rear_to_centre - profile.arclength) ** 2
-            + profile.heading_weight * (x[..., 4] - profile.heading) ** 2
-        )[:, 1:].sum(axis=1)
-        cost += 0.5 * c.acceleration_weight * (acceleration**2).sum(axis=1)
-        cost += c.road_penalty * (outside + _SLIP_PENALTY * slip)[:, 1:].sum(axis=1)
-        if len(sets.ids):
-            distance = sets.distance(self.disc_centres(x[:, 1:]))
-            inside = sets.slots[..., 6] * np.maximum(1.0 - distance, 0.0)
-            cost += inside.sum(axis=(1, 2))
-        return np.asarray(cost)
+        return np.asarray(np.maximum(outside, profile.right - middle))
 
-    def guess(self, candidates: Candidates, index: int) -> Guess:
-        """A candidate as an initial guess.
-
-        Args:
-            candidates: The candidates.
-            index: Which one.
-
-        Returns:
-            The guess.
-        """
-        n = self._config.horizon
-        return Guess(
-            states=candidates.states[index],
-            inputs=candidates.inputs[index],
-            road_slack=np.zeros(n),
-            arclength=candidates.arclength[index],
+    def _slip(self, states: FloatArray) -> FloatArray:
+        """(C, N + 1) lateral acceleration beyond the friction circle, as a share of its radius."""
+        lateral = self._vehicle.lateral_acceleration(
+            states[..., EGO_VELOCITY], states[..., EGO_STEERING]
         )
+        return np.asarray(np.maximum(np.abs(lateral) / self._grip - 1.0, 0.0))

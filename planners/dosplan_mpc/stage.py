@@ -32,25 +32,125 @@ stage: that is much quicker than to write every stage out in Python.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any, Final, NamedTuple, TypeVar
 
 import casadi as ca
+import numpy as np
 
+from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, PATH_SIZE, PATH_X, PATH_Y
+from dosplan.types import (
+    EGO_HEADING,
+    EGO_SIZE,
+    EGO_STEERING,
+    EGO_VELOCITY,
+    EGO_X,
+    EGO_Y,
+    FloatArray,
+)
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.limits import grip, half_width
 from dosplan_mpc.shape import STATIONS, disc_offsets, station_offsets
 
-STATE_SIZE = 6
-STATION_SIZE = 6  # x, y, psi, kappa of the path beside the station; right and left edge.
-SLOT_SIZE = 7  # Centre x, y, the rows of M and the penalty of a forbidden set.
-# x, y, psi, kappa of the path; reference velocity and offset; way from the path's point to the
-# reference station, m, and its weight; heading to be had at the goal, rad, and its weight.
-REFERENCE_SIZE = 10
-STAGE_HEAD = REFERENCE_SIZE + STATIONS * STATION_SIZE
-EMPTY_SLOT = (1e4, 1e4, 0.1, 0.0, 0.0, 0.1, 1.0)  # A set no plan can reach.
+PREVIOUS_ACCELERATION: Final = EGO_SIZE
+STATE_SIZE: Final = EGO_SIZE + 1
+STEERING_RATE: Final = 0
+ACCELERATION: Final = 1
+INPUT_SIZE: Final = 2
 
-_NORM_EPS = 1e-4  # Rounds the norm's tip, where it has no derivative.
-_SLACK_CURVATURE = 1e-2  # Keeps the problem strictly convex in the slacks.
+
+class Reference(NamedTuple):
+    """What a stage's costs refer to: arrays for all stages, or CasADi's expressions for one.
+
+    Attributes:
+        path: (..., 4) x, y, m, heading, rad, and curvature, 1/m, of the path beside the guess.
+        velocity: (...) m/s.
+        offset: (...) lateral offset from the path, m.
+        station: (...) way along the path from that point to where the ego's rear axle should be, m.
+        station_weight: (...) 1/m2.
+        heading: (...) heading that a goal asks for, rad.
+        heading_weight: (...) 1/rad2.
+    """
+
+    path: Any
+    velocity: Any
+    offset: Any
+    station: Any
+    station_weight: Any
+    heading: Any
+    heading_weight: Any
+
+
+class Station(NamedTuple):
+    """The road beside a place of the ego.
+
+    Attributes:
+        path: (..., 4) x, y, m, heading, rad, and curvature, 1/m, of the path beside it.
+        right: (...) right edge, as an offset from the path, m.
+        left: (...) left edge, m.
+    """
+
+    path: Any
+    right: Any
+    left: Any
+
+
+class Slot(NamedTuple):
+    """A forbidden set: ``z1^4 + z2^4 < 1`` with ``z = M (p - c)``.
+
+    Attributes:
+        centre: (..., 2) c, m.
+        first_row: (..., 2) of M, 1/m.
+        second_row: (..., 2) of M, 1/m.
+        penalty: (...) of a unit of normalised distance inside.
+    """
+
+    centre: Any
+    first_row: Any
+    second_row: Any
+    penalty: Any
+
+
+# Number of parameters of each part, in their order; both sides are made from these.
+_REFERENCE: Final = Reference(
+    path=PATH_SIZE, velocity=1, offset=1, station=1, station_weight=1, heading=1, heading_weight=1
+)
+_STATION: Final = Station(path=PATH_SIZE, right=1, left=1)
+_SLOT: Final = Slot(centre=2, first_row=2, second_row=2, penalty=1)
+
+EMPTY_SLOT: Final = Slot(
+    centre=(1e4, 1e4), first_row=(0.1, 0.0), second_row=(0.0, 0.1), penalty=1.0
+)
+"""A set that no plan can reach."""
+
+_Parts = TypeVar("_Parts", Reference, Station, Slot)
+_Axis = Callable[[float], tuple[Any, Any]]
+
+
+@dataclass(frozen=True)
+class StageParameters:
+    """Parameters of all stages by name.
+
+    Attributes:
+        reference: Arrays that begin with (N + 1).
+        stations: Arrays that begin with (N + 1, STATIONS), from the rear to the front bumper.
+        slots: Arrays that begin with (N + 1, M).
+    """
+
+    reference: Reference
+    stations: Station
+    slots: Slot
+
+    def pack(self) -> FloatArray:
+        """(N + 1, ``stage_size``) the parameters as the problem takes them."""
+        reference = _pack(self.reference, _REFERENCE)
+        count = len(reference)
+        stations = _pack(self.stations, _STATION).reshape(count, -1)
+        slots = _pack(self.slots, _SLOT).reshape(count, -1)
+        return np.concatenate([reference, stations, slots], axis=1)
 
 
 def stage_size(config: MpcConfig) -> int:
@@ -62,7 +162,45 @@ def stage_size(config: MpcConfig) -> int:
     Returns:
         Their number: the reference's, the stations' and the slots'.
     """
-    return STAGE_HEAD + SLOT_SIZE * config.slots
+    size: int = sum(_REFERENCE) + STATIONS * sum(_STATION) + config.slots * sum(_SLOT)
+    return size
+
+
+def _pack(parts: _Parts, sizes: _Parts) -> FloatArray:
+    """Parts side by side along the last axis."""
+    columns = [
+        np.asarray(part)[..., None] if size == 1 else np.asarray(part)
+        for part, size in zip(parts, sizes, strict=True)
+    ]
+    return np.concatenate(columns, axis=-1)
+
+
+def _unpack(vector: Any, sizes: _Parts) -> _Parts:
+    """The parts of a CasADi vector, by the names of ``sizes``."""
+    ends = accumulate(sizes)
+    parts = (vector[end - size : end] for end, size in zip(ends, sizes, strict=True))
+    return type(sizes)(*parts)
+
+
+def unpack_stage(p: Any, slots: int) -> tuple[Reference, list[Station], list[Slot]]:
+    """Names the parts of one stage's parameters: the way back of ``StageParameters.pack``.
+
+    Args:
+        p: CasADi vector of the parameters.
+        slots: Number of slots M.
+
+    Returns:
+        The reference, the stations and the slots.
+    """
+    sizes = [sum(_REFERENCE), *[sum(_STATION)] * STATIONS, *[sum(_SLOT)] * slots]
+    reference, *more = (
+        p[end - size : end] for end, size in zip(accumulate(sizes), sizes, strict=True)
+    )
+    return (
+        _unpack(reference, _REFERENCE),
+        [_unpack(part, _STATION) for part in more[:STATIONS]],
+        [_unpack(part, _SLOT) for part in more[STATIONS:]],
+    )
 
 
 def input_stage(config: MpcConfig, vehicle: VehicleParameters, dt: float) -> Any:
@@ -76,7 +214,7 @@ def input_stage(config: MpcConfig, vehicle: VehicleParameters, dt: float) -> Any
     Returns:
         A CasADi function of state (6) and input (2): next state (6), cost, limits as ``h >= 0``.
     """
-    x, u = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("u", 2)
+    x, u = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("u", INPUT_SIZE)
     limits = ca.vertcat(*_input_constraints(config, vehicle, x, u))
     result = [_transition(vehicle, x, u, dt), _input_cost(config, x, u, dt), limits]
     return ca.Function("input_stage", [x, u], result)
@@ -96,88 +234,111 @@ def state_stage(config: MpcConfig, vehicle: VehicleParameters) -> Any:
     """
     x, p = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("p", stage_size(config))
     slack = ca.SX.sym("s", config.slots + 1)
-    limits = ca.vertcat(*_path_constraints(config, vehicle, x, slack, p))
-    penalties = p[STAGE_HEAD + SLOT_SIZE - 1 :: SLOT_SIZE]
-    price = ca.dot(penalties, slack[: config.slots]) + config.road_penalty * slack[config.slots]
-    price += 0.5 * _SLACK_CURVATURE * ca.sumsqr(slack)
-    result = [_state_cost(config, vehicle, x, p), price, limits]
+    set_slack, road_slack = slack[: config.slots], slack[config.slots]
+    reference, stations, slots = unpack_stage(p, config.slots)
+    penalties = ca.vertcat(ca.SX(0, 1), *(slot.penalty for slot in slots))
+    price = ca.dot(penalties, set_slack) + config.road_penalty * road_slack
+    price += 0.5 * config.slack_curvature * ca.sumsqr(slack)
+    axis, (discs, _) = _axis(x), disc_offsets(vehicle, config.discs)
+    places = [axis(ahead) for ahead in station_offsets(vehicle)]
+    limits = ca.vertcat(
+        *_set_constraints(axis, discs, set_slack, slots, config.norm_rounding),
+        *_road_constraints(places, road_slack, stations, half_width(config, vehicle)),
+    )
+    result = [_state_cost(config, vehicle, x, reference), price, limits]
     return ca.Function("state_stage", [x, slack, p], result)
 
 
 def _transition(vehicle: VehicleParameters, x: Any, u: Any, dt: float) -> Any:
-    """One Runge-Kutta step; the acceleration becomes ``a_prev``."""
+    """One Runge-Kutta step; the acceleration becomes the previous one."""
 
     def derivative(state: Any) -> Any:
-        delta, v, psi = state[2], state[3], state[4]
+        delta, v, psi = state[EGO_STEERING], state[EGO_VELOCITY], state[EGO_HEADING]
         return ca.vertcat(
-            v * ca.cos(psi), v * ca.sin(psi), u[0], u[1], v * ca.tan(delta) / vehicle.wheelbase
+            v * ca.cos(psi),
+            v * ca.sin(psi),
+            u[STEERING_RATE],
+            u[ACCELERATION],
+            v * ca.tan(delta) / vehicle.wheelbase,
         )
 
-    s = x[:5]
+    s = x[:EGO_SIZE]
     k1 = derivative(s)
     k2 = derivative(s + 0.5 * dt * k1)
     k3 = derivative(s + 0.5 * dt * k2)
     k4 = derivative(s + dt * k3)
-    return ca.vertcat(s + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4), u[1])
+    return ca.vertcat(s + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4), u[ACCELERATION])
 
 
-def _local(x: Any, y: Any, frame: Any) -> tuple[Any, Any]:
+def _local(x: Any, y: Any, path: Any) -> tuple[Any, Any]:
     """Way along a frozen parabola's tangent, and offset from the parabola."""
-    dx, dy = x - frame[0], y - frame[1]
-    cos, sin = ca.cos(frame[2]), ca.sin(frame[2])
+    dx, dy = x - path[PATH_X], y - path[PATH_Y]
+    cos, sin = ca.cos(path[PATH_HEADING]), ca.sin(path[PATH_HEADING])
     along = cos * dx + sin * dy
-    return along, -sin * dx + cos * dy - 0.5 * frame[3] * along**2
+    return along, -sin * dx + cos * dy - 0.5 * path[PATH_CURVATURE] * along**2
 
 
-def _state_cost(config: MpcConfig, vehicle: VehicleParameters, x: Any, p: Any) -> Any:
-    along, offset = _local(x[0], x[1], p[:4])
-    heading = p[2] + p[3] * along
-    path_steering = ca.atan(vehicle.wheelbase * p[3])
+def _state_cost(config: MpcConfig, vehicle: VehicleParameters, x: Any, reference: Reference) -> Any:
+    path = reference.path
+    along, offset = _local(x[EGO_X], x[EGO_Y], path)
+    heading = path[PATH_HEADING] + path[PATH_CURVATURE] * along
+    path_steering = ca.atan(vehicle.wheelbase * path[PATH_CURVATURE])
     return 0.5 * (
-        config.lateral_weight * (offset - p[5]) ** 2
-        + config.heading_weight * (x[4] - heading) ** 2
-        + config.velocity_weight * (x[3] - p[4]) ** 2
-        + config.steering_weight * (x[2] - path_steering) ** 2
-        + p[7] * (along - p[6]) ** 2
-        + p[9] * (x[4] - p[8]) ** 2
+        config.lateral_weight * (offset - reference.offset) ** 2
+        + config.heading_weight * (x[EGO_HEADING] - heading) ** 2
+        + config.velocity_weight * (x[EGO_VELOCITY] - reference.velocity) ** 2
+        + config.steering_weight * (x[EGO_STEERING] - path_steering) ** 2
+        + reference.station_weight * (along - reference.station) ** 2
+        + reference.heading_weight * (x[EGO_HEADING] - reference.heading) ** 2
     )
 
 
 def _input_cost(config: MpcConfig, x: Any, u: Any, dt: float) -> Any:
     return 0.5 * (
-        config.steering_rate_weight * u[0] ** 2
-        + config.acceleration_weight * u[1] ** 2
-        + config.jerk_weight * ((u[1] - x[5]) / dt) ** 2
+        config.steering_rate_weight * u[STEERING_RATE] ** 2
+        + config.acceleration_weight * u[ACCELERATION] ** 2
+        + config.jerk_weight * ((u[ACCELERATION] - x[PREVIOUS_ACCELERATION]) / dt) ** 2
     )
 
 
 def _input_constraints(config: MpcConfig, vehicle: VehicleParameters, x: Any, u: Any) -> list[Any]:
     """Friction circle and engine power, both as ``h >= 0`` and of the order of one."""
-    limit = config.grip * vehicle.max_acceleration
-    lateral = x[3] ** 2 * ca.tan(x[2]) / vehicle.wheelbase
-    power = vehicle.max_acceleration * vehicle.switching_velocity
-    return [1.0 - (u[1] ** 2 + lateral**2) / limit**2, 1.0 - u[1] * x[3] / power]
+    velocity, acceleration = x[EGO_VELOCITY], u[ACCELERATION]
+    lateral = velocity**2 * ca.tan(x[EGO_STEERING]) / vehicle.wheelbase
+    return [
+        1.0 - (acceleration**2 + lateral**2) / grip(config, vehicle) ** 2,
+        1.0 - acceleration * velocity / vehicle.engine_power,
+    ]
 
 
-def _path_constraints(
-    config: MpcConfig, vehicle: VehicleParameters, x: Any, slack: Any, p: Any
+def _axis(x: Any) -> _Axis:
+    """Gives the coordinates of the place that is so far ahead of the rear axle, m."""
+    cos, sin = ca.cos(x[EGO_HEADING]), ca.sin(x[EGO_HEADING])
+    return lambda ahead: (x[EGO_X] + ahead * cos, x[EGO_Y] + ahead * sin)
+
+
+def _set_constraints(
+    axis: _Axis, discs: FloatArray, slack: Any, slots: list[Slot], rounding: float
 ) -> list[Any]:
-    """Sets and road edges of a stage as ``h >= 0``."""
-    cos, sin = ca.cos(x[4]), ca.sin(x[4])
+    """Every disc outside of every set, as ``h >= 0``."""
     h = []
-    offsets, _ = disc_offsets(vehicle, config.discs)
-    for j in range(config.slots):
-        slot = p[STAGE_HEAD + SLOT_SIZE * j : STAGE_HEAD + SLOT_SIZE * (j + 1)]
-        for ahead in offsets:
-            dx, dy = x[0] + ahead * cos - slot[0], x[1] + ahead * sin - slot[1]
-            z1 = slot[2] * dx + slot[3] * dy
-            z2 = slot[4] * dx + slot[5] * dy
-            h.append(ca.sqrt(ca.sqrt(z1**4 + z2**4 + _NORM_EPS)) - 1.0 + slack[j])
-    half = vehicle.width / 2.0 + config.road_margin
-    for i, ahead in enumerate(station_offsets(vehicle)):
-        begin = REFERENCE_SIZE + STATION_SIZE * i
-        frame = p[begin : begin + STATION_SIZE]
-        _, offset = _local(x[0] + ahead * cos, x[1] + ahead * sin, frame)
-        h.append(frame[5] - offset - half + slack[config.slots])
-        h.append(offset - half - frame[4] + slack[config.slots])
+    for j, slot in enumerate(slots):
+        for ahead in discs:
+            x, y = axis(ahead)
+            dx, dy = x - slot.centre[0], y - slot.centre[1]
+            z1 = slot.first_row[0] * dx + slot.first_row[1] * dy
+            z2 = slot.second_row[0] * dx + slot.second_row[1] * dy
+            h.append(ca.sqrt(ca.sqrt(z1**4 + z2**4 + rounding)) - 1.0 + slack[j])
+    return h
+
+
+def _road_constraints(
+    places: list[Any], slack: Any, stations: list[Station], half: float
+) -> list[Any]:
+    """Both sides of the ego between the road's edges, as ``h >= 0``."""
+    h = []
+    for (x, y), station in zip(places, stations, strict=True):
+        _, offset = _local(x, y, station.path)
+        h.append(station.left - offset - half + slack)
+        h.append(offset - half - station.right + slack)
     return h

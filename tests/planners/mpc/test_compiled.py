@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 from dosplan_mpc import compiled, nlp
 from dosplan_mpc.compiled import CompileError, is_whole
-from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.config import MpcConfig, SamplerSettings, TrafficSettings
 from dosplan_mpc.nlp import Guess, MpcProblem, Solution
-from dosplan_mpc.shape import station_offsets
-from dosplan_mpc.stage import REFERENCE_SIZE, STAGE_HEAD, STATION_SIZE
+from dosplan_mpc.obstacles import ForbiddenSets
 
 from dosplan.cli.main import main
 from dosplan.system.folders import cache_folder
 from dosplan.types import SolveStatus
 from dosplan.vehicle import VehicleParameters
+from tests.planners.mpc.roads import straight_stages
 
 TINY = replace(MpcConfig(), horizon=3, slots=1)  # It compiles in seconds.
 VEHICLE = VehicleParameters()
@@ -67,14 +67,13 @@ def solve(problem: MpcProblem) -> Solution:
     states = np.zeros((n + 1, 6))
     states[:, 0] = np.arange(n + 1)
     states[:, 3] = 10.0
-    stages = np.zeros((n + 1, problem.stage_size))
-    stages[:, 0] = states[:, 0]
-    stages[:, 4] = 10.0
-    for i, ahead in enumerate(station_offsets(VEHICLE)):
-        begin = REFERENCE_SIZE + STATION_SIZE * i
-        stages[:, begin] = states[:, 0] + ahead
-        stages[:, begin + 4 : begin + 6] = [-5.0, 5.0]
-    stages[:, STAGE_HEAD:] = [6.0, -1.0, 0.3, 0.0, 0.0, 0.5, 200.0]
+    sets = ForbiddenSets(
+        ids=np.array([7]),
+        centre=np.tile([6.0, -1.0], (1, n, 1)),
+        matrix=np.tile(np.diag([0.3, 0.5]), (1, n, 1, 1)),
+        penalty=np.full((1, n), 200.0),
+    )
+    stages = straight_stages(states[:, 0], problem.config.slots, sets)
     guess = Guess(states, np.zeros((n, 2)), np.zeros(n), states[:, 0].copy())
     start = np.array([0.0, 0.4, 0.01, 10.0, 0.02, 0.3])
     return problem.solve(start, stages, guess, np.zeros((n, 1)))
@@ -164,6 +163,8 @@ def test_every_problem_has_a_file_of_its_own(cache: Path, monkeypatch: pytest.Mo
             (replace(TINY, horizon=4), VEHICLE, DT),
             (replace(TINY, jerk_weight=0.02), VEHICLE, DT),
             (replace(TINY, road_margin=0.2), VEHICLE, DT),
+            (replace(TINY, norm_rounding=1e-3), VEHICLE, DT),
+            (replace(TINY, slack_curvature=0.02), VEHICLE, DT),
             (TINY, replace(VEHICLE, wheelbase=2.6), DT),
             (TINY, VEHICLE, 0.2),
         )
@@ -180,7 +181,11 @@ def test_what_only_steers_the_solver_shares_the_file(cache: Path) -> None:
     """A problem is the same however far it is solved and whoever plans with it."""
     libraries = {
         MpcProblem(config, VEHICLE, DT).formulation.library()
-        for config in (TINY, replace(TINY, max_iterations=9, tolerance=1e-4, resample_every=2))
+        for config in (
+            TINY,
+            replace(TINY, max_iterations=9, tolerance=1e-4, resample_every=2),
+            replace(TINY, sampler=SamplerSettings(lane=3.0), traffic=TrafficSettings(headway=1.0)),
+        )
     }
     assert len(libraries) == 1
 

@@ -8,13 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.goal import (
-    cruise_for_goal,
-    curve_speed,
-    locate_goals,
-    plan_speed,
-)
+from dosplan_mpc.config import MpcConfig, SamplerSettings, SetSettings, SpeedSettings
+from dosplan_mpc.goal_window import GoalWindow, locate_goals
 from dosplan_mpc.nlp import Guess, MpcProblem, Solution, problem
 from dosplan_mpc.obstacles import (
     ForbiddenSets,
@@ -23,26 +18,54 @@ from dosplan_mpc.obstacles import (
     stretch_back,
     superellipse_axes,
 )
-from dosplan_mpc.reference import PATH_LEFT, reference_path
+from dosplan_mpc.reference import PATH_LEFT, EgoOnPath, reference_path
 from dosplan_mpc.sampler import Sampler
-from dosplan_mpc.shape import disc_offsets, station_offsets
-from dosplan_mpc.stage import EMPTY_SLOT, REFERENCE_SIZE, SLOT_SIZE, STAGE_HEAD, STATION_SIZE
-from dosplan_mpc.traffic import Traffic, look_around
+from dosplan_mpc.shape import disc_offsets
+from dosplan_mpc.speed_profile import SpeedLimit, SpeedPlanner, SpeedProfile, curve_speed
+from dosplan_mpc.stage import StageParameters, stage_size, unpack_stage
+from dosplan_mpc.traffic import Lane, Traffic
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import box
 
-from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, rectangle_corners
+from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath, rectangle_corners
 from dosplan.scenario.synthetic import steady_tracks, straight_route, straight_scenario
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, GoalState, Occupancy, PlanningTask, Route, SolveStatus
 from dosplan.vehicle import VehicleParameters
+from tests.planners.mpc.roads import straight_stages
 
 VEHICLE = VehicleParameters()
 DT = 0.1
-HORIZON = MpcConfig().horizon
+CONFIG = MpcConfig()
+HORIZON = CONFIG.horizon
 PENALTY = np.full(HORIZON, 200.0)
 FREE = Traffic(cruise=10.0, pressed=False, followers=np.zeros(0, dtype=np.bool_))
+
+
+def path_of(route: Route) -> EvenPath:
+    """The reference path of a route."""
+    return reference_path(route, CONFIG.path)
+
+
+def goals_of(
+    task: PlanningTask, path: EvenPath, farthest: float = np.inf
+) -> tuple[GoalWindow, ...]:
+    return locate_goals(task, path, CONFIG.goal, farthest)
+
+
+def at(position: float, velocity: float, step: int = 0) -> EgoOnPath:
+    """The ego on its path, with its centre at an arc length."""
+    return EgoOnPath(step, position - VEHICLE.rear_to_centre, 0.0, position, velocity)
+
+
+def speed_planner(path: EvenPath, *windows: GoalWindow) -> SpeedPlanner:
+    return SpeedPlanner(CONFIG, VEHICLE, path, windows, DT)
+
+
+def free_profile(path: EvenPath) -> SpeedProfile:
+    """The reference of an ego that drives at 10 m/s and meets nobody."""
+    return speed_planner(path).plan(at(20.0, 10.0), FREE)
 
 
 def the_set(occupancy: Occupancy, radius: float, penalty: FloatArray = PENALTY) -> ForbiddenSets:
@@ -151,25 +174,34 @@ def test_after_the_steps_with_sets_the_positions_alone_count() -> None:
     occupancy = occupancy_at(10.0, 0.0, 0.3, 1.0)
     sets = forbidden_sets(occupancy, 1.0, np.array([0]), PENALTY, 12)
     full, bare = the_set(occupancy, 1.0), the_set(occupancy.without_sets(), 1.0)
-    np.testing.assert_array_equal(sets.slots[:, :12], full.slots[:, :12])
-    np.testing.assert_array_equal(sets.slots[:, 12:], bare.slots[:, 12:])
+    np.testing.assert_array_equal(sets.matrix[:, :12], full.matrix[:, :12])
+    np.testing.assert_array_equal(sets.matrix[:, 12:], bare.matrix[:, 12:])
+    np.testing.assert_array_equal(sets.centre, bare.centre)
 
 
 def test_release_lets_go_of_the_ego_and_comes_back() -> None:
     sets = the_set(occupancy_at(0.0, 2.0), 1.0)
     ego = np.array([[0.0, 0.3]])
     assert sets.distance(ego[None].repeat(30, axis=0))[0, 0] < 1.0
-    released = release(sets, ego, DT).distance(ego[None].repeat(30, axis=0))[0]
+    released = release(sets, ego, DT, CONFIG.sets).distance(ego[None].repeat(30, axis=0))[0]
     assert released[0] >= 1.0
     assert np.all(np.diff(released) <= 1e-12)
     np.testing.assert_array_equal(
-        release(sets, ego, DT).slots[:, 15:], sets.slots[:, 15:]
+        release(sets, ego, DT, CONFIG.sets).matrix[:, 15:], sets.matrix[:, 15:]
     )  # full again after 1.5 s
 
 
 def test_release_keeps_sets_that_do_not_hold_the_ego() -> None:
     sets = the_set(occupancy_at(0.0, 9.0), 1.0)
-    np.testing.assert_array_equal(release(sets, np.zeros((1, 2)), DT).slots, sets.slots)
+    released = release(sets, np.zeros((1, 2)), DT, CONFIG.sets)
+    np.testing.assert_array_equal(released.matrix, sets.matrix)
+
+
+def test_a_longer_release_is_asked_for_in_the_settings() -> None:
+    sets, ego = the_set(occupancy_at(0.0, 2.0), 1.0), np.array([[0.0, 0.3]])
+    slow = release(sets, ego, DT, SetSettings(release_seconds=2.0))
+    assert np.all(slow.matrix[0, 19] != sets.matrix[0, 19], where=sets.matrix[0, 19] != 0.0)
+    np.testing.assert_array_equal(slow.matrix[:, 20:], sets.matrix[:, 20:])
 
 
 @pytest.mark.parametrize("away", [0.0, 5e5])
@@ -177,14 +209,13 @@ def test_distance_is_that_of_the_nearest_disc(away: float) -> None:
     """Against loops over everything; also where the map lies far from its origin."""
     rng = np.random.default_rng(3)
     n, steps, discs = 4, 6, 3
-    slots = rng.normal(size=(n, steps, 7)) + np.array([away, away, 0.0, 0.0, 0.0, 0.0, 0.0])
-    sets = ForbiddenSets(np.arange(n), slots)
+    centre, matrix = away + rng.normal(size=(n, steps, 2)), rng.normal(size=(n, steps, 2, 2))
+    sets = ForbiddenSets(np.arange(n), centre, matrix, np.ones((n, steps)))
     points = away + rng.normal(size=(2, steps, discs, 2))
     found = sets.distance(points)
     assert found.shape == (2, n, steps)
     for c, i, t in np.ndindex(found.shape):
-        matrix = slots[i, t, 2:6].reshape(2, 2)
-        z = [matrix @ (points[c, t, d] - slots[i, t, :2]) for d in range(discs)]
+        z = [matrix[i, t] @ (points[c, t, d] - centre[i, t]) for d in range(discs)]
         wanted = min(float((zd**4).sum()) ** 0.25 for zd in z)
         assert found[c, i, t] == pytest.approx(wanted, rel=1e-6, abs=1e-9)
 
@@ -192,7 +223,12 @@ def test_distance_is_that_of_the_nearest_disc(away: float) -> None:
 def test_nearest_orders_by_normalised_distance() -> None:
     a = the_set(occupancy_at(30.0, 0.0), 1.0)
     b = the_set(occupancy_at(12.0, 0.0), 1.0)
-    both = ForbiddenSets(np.array([1, 2]), np.concatenate([a.slots, b.slots]))
+    both = ForbiddenSets(
+        np.array([1, 2]),
+        np.concatenate([a.centre, b.centre]),
+        np.concatenate([a.matrix, b.matrix]),
+        np.concatenate([a.penalty, b.penalty]),
+    )
     way = np.zeros((30, 1, 2))
     np.testing.assert_array_equal(both.nearest(way, 5).ids, [2, 1])
     np.testing.assert_array_equal(both.nearest(way, 1).ids, [2])
@@ -206,7 +242,7 @@ def test_nearest_orders_by_normalised_distance() -> None:
 @settings(max_examples=40, deadline=None)
 @given(s=st.floats(3.0, 80.0), d=st.floats(-4.0, 4.0), error=st.floats(-3.0, 3.0))
 def test_projection_inverts_the_frame(s: float, d: float, error: float) -> None:
-    path = reference_path(circle_route(30.0))
+    path = path_of(circle_route(30.0))
     row = path.at(np.array(s))
     point = row[:2] + d * np.array([-np.sin(row[PATH_HEADING]), np.cos(row[PATH_HEADING])])
     along, across = path.project(point, np.array(s + error))
@@ -223,7 +259,7 @@ def goal_task(goal: GoalState) -> PlanningTask:
 def test_goal_region_is_found_along_the_path() -> None:
     # The path begins 20 m behind the origin; the region is kept 0.2 m from its edges.
     task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.5), velocity=(3.0, 5.0)))
-    (window,) = locate_goals(task, reference_path(task.route))
+    (window,) = goals_of(task, path_of(task.route))
     assert window.begin == pytest.approx(60.2, abs=0.3)
     assert window.end == pytest.approx(79.8, abs=0.3)
     assert window.right == pytest.approx(-0.8, abs=0.11)
@@ -233,18 +269,18 @@ def test_goal_region_is_found_along_the_path() -> None:
 
 def test_goal_beside_the_path_asks_for_an_offset() -> None:
     task = goal_task(GoalState(20, 30, box(40.0, 2.0, 60.0, 5.0)))
-    (window,) = locate_goals(task, reference_path(task.route))
+    (window,) = goals_of(task, path_of(task.route))
     assert 2.2 <= window.offset <= 4.8
 
 
 def test_goal_with_a_foreign_heading_is_not_on_the_path() -> None:
     task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0), heading=(1.5, 1.6)))
-    assert locate_goals(task, reference_path(task.route)) == ()
+    assert goals_of(task, path_of(task.route)) == ()
 
 
 def test_goal_without_a_region_has_no_window() -> None:
     task = goal_task(GoalState(20, 30))
-    assert locate_goals(task, reference_path(task.route)) == ()
+    assert goals_of(task, path_of(task.route)) == ()
 
 
 @pytest.mark.parametrize(
@@ -261,19 +297,18 @@ def test_cruise_meets_the_window(
     first: int, last: int, begin: float, cruise: float, low: float, high: float
 ) -> None:
     task = goal_task(GoalState(first, last, box(begin, -1.0, begin + 20.0, 1.0)))
-    (window,) = locate_goals(task, reference_path(task.route))
+    (window,) = goals_of(task, path_of(task.route))
     grid = 20.0 + np.arange(0.0, 120.0, 1.0)
-    limit = np.full_like(grid, 40.0)
-    met, speed = cruise_for_goal(window, 0, DT, 20.0, 10.0, cruise, grid, limit, 2.5)
+    limit = SpeedLimit(grid, np.full_like(grid, 40.0), CONFIG.calm)
+    planner = speed_planner(path_of(task.route), window)
+    met, speed = planner.cruise_for_goal(window, at(20.0, 10.0), cruise, limit)
     assert met
     assert low <= speed <= high
 
 
 def test_profile_slows_down_for_a_curve() -> None:
-    path = reference_path(circle_route(10.0, turn=6.0))
-    profile = plan_speed(
-        path, (), 0, DT, 1.0, 12.0, replace(FREE, cruise=12.0), MpcConfig(), VEHICLE
-    )
+    path = path_of(circle_route(10.0, turn=6.0))
+    profile = speed_planner(path).plan(at(1.0, 12.0), replace(FREE, cruise=12.0))
     # sqrt(4 m/s2 * 10 m) = 6.3 m/s
     assert profile.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
     assert np.all(profile.velocity >= 0.0)
@@ -284,8 +319,8 @@ def test_a_curve_is_taken_no_faster_than_the_wheels_turn() -> None:
     route = straight_route(100.0)
     along = route.arclength - 50.0
     curvature = 0.1 * np.clip(along / 2.0, 0.0, 1.0)
-    path = reference_path(replace(route, curvature=curvature))
-    (speed,) = curve_speed(path, np.array([51.0]), 9.0, VEHICLE)
+    path = path_of(replace(route, curvature=curvature))
+    (speed,) = curve_speed(path, np.array([51.0]), 9.0, VEHICLE, SpeedSettings())
     # atan(wheelbase * 0.1) of steering over a window of 3 m.
     wanted = VEHICLE.max_steering_rate * 3.0 / np.arctan(VEHICLE.wheelbase * 0.1)
     assert speed == pytest.approx(wanted, rel=0.02)
@@ -293,10 +328,9 @@ def test_a_curve_is_taken_no_faster_than_the_wheels_turn() -> None:
 
 
 def test_who_is_pressed_takes_a_curve_faster() -> None:
-    path = reference_path(circle_route(10.0, turn=6.0))
+    path = path_of(circle_route(10.0, turn=6.0))
     calm, pressed = (
-        plan_speed(path, (), 0, DT, 1.0, 12.0, replace(FREE, pressed=p), MpcConfig(), VEHICLE)
-        for p in (False, True)
+        speed_planner(path).plan(at(1.0, 12.0), replace(FREE, pressed=p)) for p in (False, True)
     )
     # sqrt(7 m/s2 * 10 m) = 8.4 m/s against 6.3 m/s
     assert calm.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
@@ -305,35 +339,35 @@ def test_who_is_pressed_takes_a_curve_faster() -> None:
 
 def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
     task = goal_task(GoalState(100, 100, box(-10.0, -1.0, 2.0, 1.0)))
-    path = reference_path(task.route)
-    windows = locate_goals(task, path)
+    path = path_of(task.route)
+    planner = speed_planner(path, *goals_of(task, path))
     # The region ends at 22 m of path; the last metre is kept as a reserve.
     # Up to the edge itself, which the window with its margins falls short of, it is not too late.
     for position in (21.2, 21.9):
-        profile = plan_speed(path, windows, 0, DT, position, 2.0, FREE, MpcConfig(), VEHICLE)
+        profile = planner.plan(at(position, 2.0), FREE)
         assert profile.velocity[-1] == 0.0
         assert profile.station_weight[0] > MpcConfig().station_weight
-    missed = plan_speed(path, windows, 0, DT, 23.0, 2.0, FREE, MpcConfig(), VEHICLE)
+    missed = planner.plan(at(23.0, 2.0), FREE)
     assert missed.velocity[-1] > 2.0
-    late = plan_speed(path, windows, 101, DT, 21.2, 2.0, FREE, MpcConfig(), VEHICLE)
+    late = planner.plan(at(21.2, 2.0, step=101), FREE)
     assert late.velocity[-1] == pytest.approx(FREE.cruise)
 
 
 def test_a_goal_ends_where_the_ego_has_to_stop() -> None:
     task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0)))
-    (window,) = locate_goals(task, reference_path(task.route), farthest=70.0)
+    (window,) = goals_of(task, path_of(task.route), farthest=70.0)
     assert window.end == 70.0
-    (beyond,) = locate_goals(task, reference_path(task.route), farthest=10.0)
+    (beyond,) = goals_of(task, path_of(task.route), farthest=10.0)
     assert beyond.end == beyond.begin
 
 
 @pytest.mark.parametrize("lap", [0.0, 2.0 * np.pi, -2.0 * np.pi])
 def test_heading_of_a_goal_is_on_the_turn_of_the_path(lap: float) -> None:
     task = goal_task(GoalState(0, 30, box(0.0, -1.0, 20.0, 1.0), heading=(0.1 + lap, 0.3 + lap)))
-    path = reference_path(task.route)
-    (window,) = locate_goals(task, path)
+    path = path_of(task.route)
+    (window,) = goals_of(task, path)
     assert window.heading == pytest.approx((0.1, 0.3))
-    profile = plan_speed(path, (window,), 0, DT, 25.0, 5.0, FREE, MpcConfig(), VEHICLE)
+    profile = speed_planner(path, window).plan(at(25.0, 5.0), FREE)
     # The path's own heading, 0, is 0.1 rad off: 0.06 rad within the window are asked for.
     np.testing.assert_allclose(profile.heading[:5], 0.16)
     assert np.all(profile.heading_weight[:5] > 0.0)
@@ -345,20 +379,22 @@ def test_a_bend_lends_room_of_the_lane_against() -> None:
         for radius, outer in ((8.0, 6.0), (400.0, 6.0))
         for n in (len(circle_route(radius).arclength),)
     )
-    assert reference_path(tight).table[5, PATH_LEFT] == pytest.approx(1.5 + 10.0 / 8.0)
-    assert reference_path(wide).table[5, PATH_LEFT] == pytest.approx(1.5 + 10.0 / 400.0)
+    assert path_of(tight).table[5, PATH_LEFT] == pytest.approx(1.5 + 10.0 / 8.0)
+    assert path_of(wide).table[5, PATH_LEFT] == pytest.approx(1.5 + 10.0 / 400.0)
     # Never beyond the drivable area.
     walled = replace(tight, outer_left=tight.left)
-    assert reference_path(walled).table[5, PATH_LEFT] == 1.5
+    assert path_of(walled).table[5, PATH_LEFT] == 1.5
 
 
 def seen(users: list[list[float]], velocity: float = 10.0) -> Traffic:
     """What the ego at x = 1.42 m sees of cars on a straight road."""
     scenario = straight_scenario(steady_tracks(users), velocity=velocity)
     observation = World(scenario, first_step=0, history=1).observation()
-    path = reference_path(scenario.task.route)
+    path = path_of(scenario.task.route)
     position = 20.0 + VEHICLE.rear_to_centre
-    return look_around(observation, path, VEHICLE, position, 0.0, velocity)
+    return Lane(CONFIG.traffic, path, VEHICLE, velocity).look_around(
+        observation, at(position, velocity)
+    )
 
 
 def test_traffic_is_sorted_into_leader_and_followers() -> None:
@@ -380,22 +416,43 @@ def test_traffic_is_sorted_into_leader_and_followers() -> None:
 def test_a_stretched_set_keeps_its_front_and_reaches_back() -> None:
     sets = the_set(occupancy_at(0.0, 0.0), 1.0)
     longer = stretch_back(sets, np.array([True]), 10.0)
-    front = 1.0 / sets.slots[0, 0, 2]
+    front = 1.0 / sets.matrix[0, 0, 0, 0]
     for x, inside in ((front - 0.01, True), (front + 0.01, False), (-front - 9.9, True)):
         assert (longer.distance(np.full((30, 1, 2), [x, 0.0])).max() < 1.0) == inside
-    np.testing.assert_array_equal(stretch_back(sets, np.array([False]), 10.0).slots, sets.slots)
+    same = stretch_back(sets, np.array([False]), 10.0)
+    np.testing.assert_array_equal(same.matrix, sets.matrix)
+    np.testing.assert_array_equal(same.centre, sets.centre)
+
+
+def test_slots_that_are_left_over_are_out_of_reach() -> None:
+    slots = the_set(occupancy_at(10.0, 1.0), 1.0).fill(3)
+    assert slots.centre.shape == (HORIZON + 1, 3, 2)
+    np.testing.assert_array_equal(slots.centre[1:, 0], np.tile([10.0, 1.0], (HORIZON, 1)))
+    np.testing.assert_array_equal(slots.penalty[1:, 0], PENALTY)
+    # The first stage is where the ego is now; it has no sets.
+    assert slots.centre[0].min() == slots.centre[:, 1:].min() == 1e4
+
+
+def test_a_lane_beside_is_as_wide_as_the_settings_say() -> None:
+    path = path_of(straight_route())
+    start, ego = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), EgoOnPath(0, 20.0, 0.0, 21.42, 10.0)
+    for lane in (2.0, 3.0):
+        config = replace(CONFIG, sampler=SamplerSettings(lane=lane, accelerations=(0.0,)))
+        candidates = Sampler(config, VEHICLE, path, DT).sample(start, ego, free_profile(path))
+        # Two speeds, six targets, two lengths; the third target is the lane to the left, and the
+        # longer way to it is 30 m.
+        assert len(candidates.states) == 24
+        assert candidates.offset[5, -1] == pytest.approx(lane, abs=0.1)
 
 
 # Sampler
 
 
 def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
-    config = MpcConfig()
-    path = reference_path(straight_route())
-    sampler = Sampler(config, VEHICLE, path, DT)
-    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, FREE, config, VEHICLE)
+    path = path_of(straight_route())
+    sampler, profile = Sampler(CONFIG, VEHICLE, path, DT), free_profile(path)
     start = np.array([0.0, 0.2, 0.0, 10.0, 0.05, 0.0])
-    candidates = sampler.sample(start, 20.0, 0.2, profile)
+    candidates = sampler.sample(start, EgoOnPath(0, 20.0, 0.2, 21.42, 10.0), profile)
     assert np.all(candidates.states[:, 0] == start)
     assert np.all(np.isfinite(candidates.states))
     # Positions along a candidate move at its speed, give or take the way to the side.
@@ -407,13 +464,11 @@ def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
 
 
 def test_rating_prefers_the_free_side() -> None:
-    config = MpcConfig()
-    path = reference_path(straight_route())
-    sampler = Sampler(config, VEHICLE, path, DT)
-    profile = plan_speed(path, (), 0, DT, 20.0, 10.0, FREE, config, VEHICLE)
+    path = path_of(straight_route())
+    sampler, profile = Sampler(CONFIG, VEHICLE, path, DT), free_profile(path)
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
-    candidates = sampler.sample(start, 20.0, 0.0, profile)
-    _, radius = disc_offsets(VEHICLE, config.discs)
+    candidates = sampler.sample(start, EgoOnPath(0, 20.0, 0.0, 21.42, 10.0), profile)
+    _, radius = disc_offsets(VEHICLE, CONFIG.discs)
     blocked = the_set(occupancy_at(22.0, -0.5), radius)
     best = int(np.argmin(sampler.rate(candidates, blocked, profile)))
     distance = blocked.distance(sampler.disc_centres(candidates.states[best, 1:]))
@@ -424,22 +479,41 @@ def test_rating_prefers_the_free_side() -> None:
 # Optimal control problem
 
 
-def straight_stages(
-    mpc: MpcProblem, guess: FloatArray, sets: ForbiddenSets | None = None
-) -> FloatArray:
-    """Stage parameters of a straight road along +x with edges 5 m to both sides."""
+def stages_of(mpc: MpcProblem, guess: Guess, *sets: ForbiddenSets) -> StageParameters:
+    """A straight road along +x with edges 5 m to both sides, and sets on it."""
     n = mpc.config.horizon
-    stages = np.zeros((n + 1, mpc.stage_size))
-    stages[:, 0] = guess[:, 0]
-    stages[:, 4] = 10.0
-    for i, ahead in enumerate(station_offsets(VEHICLE)):
-        begin = REFERENCE_SIZE + STATION_SIZE * i
-        stages[:, begin] = guess[:, 0] + ahead
-        stages[:, begin + 4 : begin + 6] = [-5.0, 5.0]
-    stages[:, STAGE_HEAD:] = np.tile(EMPTY_SLOT, mpc.config.slots)
-    if sets is not None:
-        stages[1:, STAGE_HEAD : STAGE_HEAD + SLOT_SIZE] = sets.slots[0]
-    return stages
+    together = ForbiddenSets(
+        ids=np.arange(len(sets)),
+        centre=np.concatenate([np.empty((0, n, 2)), *(s.centre for s in sets)]),
+        matrix=np.concatenate([np.empty((0, n, 2, 2)), *(s.matrix for s in sets)]),
+        penalty=np.concatenate([np.empty((0, n)), *(s.penalty for s in sets)]),
+    )
+    return straight_stages(guess.states[:, 0], mpc.config.slots, together)
+
+
+def test_parameters_of_a_stage_have_their_place(mpc: MpcProblem) -> None:
+    """Packed for all stages and unpacked for one, they have the same names."""
+    stages = stages_of(mpc, straight_guess(mpc), the_set(occupancy_at(20.0, -0.4), 1.0))
+    packed = stages.pack()
+    assert packed.shape == (HORIZON + 1, stage_size(mpc.config))
+    p = ca.SX.sym("p", packed.shape[1])
+    reference, stations, slots = unpack_stage(p, mpc.config.slots)
+
+    def value(expression: Any, step: int) -> FloatArray:
+        return np.asarray(ca.Function("f", [p], [expression])(packed[step])).ravel()
+
+    for step in (1, 17):
+        for name, part in zip(reference._fields, reference, strict=True):
+            wanted = np.ravel(getattr(stages.reference, name)[step])
+            np.testing.assert_array_equal(value(part, step), wanted)
+        for i, station in enumerate(stations):
+            for name, part in zip(station._fields, station, strict=True):
+                wanted = np.ravel(getattr(stages.stations, name)[step, i])
+                np.testing.assert_array_equal(value(part, step), wanted)
+        for j, slot in enumerate(slots):
+            for name, part in zip(slot._fields, slot, strict=True):
+                wanted = np.ravel(getattr(stages.slots, name)[step, j])
+                np.testing.assert_array_equal(value(part, step), wanted)
 
 
 def straight_guess(mpc: MpcProblem, lateral: float = 0.0) -> Guess:
@@ -456,7 +530,7 @@ def straight_guess(mpc: MpcProblem, lateral: float = 0.0) -> Guess:
     )
 
 
-def solved(mpc: MpcProblem, start: FloatArray, stages: FloatArray, guess: Guess) -> Solution:
+def solved(mpc: MpcProblem, start: FloatArray, stages: StageParameters, guess: Guess) -> Solution:
     """The solution from a guess that enters no set."""
     return mpc.solve(start, stages, guess, np.zeros((mpc.config.horizon, mpc.config.slots)))
 
@@ -473,7 +547,7 @@ def test_problem_is_built_once(mpc: MpcProblem) -> None:
 def test_solution_obeys_the_vehicle_model(mpc: MpcProblem) -> None:
     start = np.array([0.0, 0.6, 0.02, 10.0, 0.05, 0.3])
     guess = straight_guess(mpc)
-    solution = solved(mpc, start, straight_stages(mpc, guess.states), guess)
+    solution = solved(mpc, start, stages_of(mpc, guess), guess)
     assert solution.status is SolveStatus.SOLVED
     state = start[:5]
     for k in range(mpc.config.horizon):
@@ -488,7 +562,7 @@ def test_road_user_is_passed_outside_its_set(mpc: MpcProblem) -> None:
     sets = the_set(occupancy_at(20.0, -0.4), radius)
     guess = straight_guess(mpc, lateral=2.5)
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
-    solution = solved(mpc, start, straight_stages(mpc, guess.states, sets), guess)
+    solution = solved(mpc, start, stages_of(mpc, guess, sets), guess)
     assert solution.usable
     discs, _ = disc_offsets(VEHICLE, mpc.config.discs)
     x = solution.states[1:]
@@ -504,8 +578,7 @@ def test_unavoidable_set_has_slack_of_its_own(mpc: MpcProblem) -> None:
     here = the_set(occupancy_at(1.4, 0.0), radius)
     ahead = the_set(occupancy_at(22.0, -0.4), radius)
     guess = straight_guess(mpc, lateral=2.5)
-    stages = straight_stages(mpc, guess.states, here)
-    stages[1:, STAGE_HEAD + SLOT_SIZE : STAGE_HEAD + 2 * SLOT_SIZE] = ahead.slots[0]
+    stages = stages_of(mpc, guess, here, ahead)
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     solution = solved(mpc, start, stages, guess)
     assert solution.usable
@@ -521,7 +594,7 @@ def test_a_set_is_entered_where_it_costs_less_than_the_way_around(mpc: MpcProble
     slacks = []
     for price in (0.1, 2000.0):
         sets = the_set(occupancy_at(25.0, -0.8), radius, np.full(HORIZON, price))
-        stages = straight_stages(mpc, guess.states, sets)
+        stages = stages_of(mpc, guess, sets)
         slacks.append(solved(mpc, start, stages, guess).set_slack.max())
     assert slacks[0] > 0.1
     assert slacks[1] < 0.01
@@ -544,7 +617,7 @@ def test_fatrop_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
     sets = the_set(occupancy_at(12.0, -0.8), radius, PENALTY[:15])
     guess = straight_guess(ours, lateral=1.5)
     start = np.array([0.0, 0.4, 0.0, 9.0, 0.03, 0.0])
-    stages = straight_stages(ours, guess.states, sets)
+    stages = stages_of(ours, guess, sets)
     a, b = solved(ours, start, stages, guess), solved(oracle, start, stages, guess)
     assert a.status is b.status is SolveStatus.SOLVED
     assert a.cost == pytest.approx(b.cost, rel=1e-4)
@@ -553,8 +626,8 @@ def test_fatrop_agrees_with_ipopt(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_nan_is_a_status_not_an_exception(mpc: MpcProblem) -> None:
     guess = straight_guess(mpc)
-    stages = straight_stages(mpc, guess.states)
-    stages[5, 4] = np.nan
+    stages = stages_of(mpc, guess)
+    stages.reference.velocity[5] = np.nan
     solution = solved(mpc, np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), stages, guess)
     assert not solution.usable
     assert solution.status is SolveStatus.SOLVER_ERROR

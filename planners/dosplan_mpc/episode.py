@@ -1,0 +1,345 @@
+"""An episode of the planner: reference, sets, initial guess, solve, check, fallback."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from dosplan.geometry import PATH_SIZE
+from dosplan.types import (
+    EGO_HEADING,
+    EGO_SIZE,
+    EGO_VELOCITY,
+    FloatArray,
+    Observation,
+    Occupancy,
+    Plan,
+    PlanningTask,
+    RoadMap,
+    SolveReport,
+)
+from dosplan.vehicle import VehicleParameters
+from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.goal_window import locate_goals
+from dosplan_mpc.limits import half_width
+from dosplan_mpc.nlp import Guess, Solution, problems
+from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, stretch_back
+from dosplan_mpc.reference import PATH_LEFT, PATH_RIGHT, EgoOnPath, aligned_path
+from dosplan_mpc.sampler import Candidates, Sampler
+from dosplan_mpc.shape import STATIONS, disc_offsets, station_offsets
+from dosplan_mpc.speed_profile import SpeedPlanner, SpeedProfile
+from dosplan_mpc.stage import (
+    ACCELERATION,
+    INPUT_SIZE,
+    PREVIOUS_ACCELERATION,
+    Reference,
+    StageParameters,
+    Station,
+)
+from dosplan_mpc.traffic import Lane, Traffic
+
+_SEEN = 1e-3  # Slack of a set from which on its road user is reported as active.
+
+
+@dataclass(frozen=True)
+class _LastCycle:
+    """What a cycle leaves to the next one.
+
+    Attributes:
+        step: Its step.
+        guess: What it planned.
+        slack: Largest slack of a set.
+        cycles: Number of cycles since the plan was last given up.
+    """
+
+    step: int
+    guess: Guess
+    slack: float
+    cycles: int
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What one cycle plans with.
+
+    Attributes:
+        start: (6,) present state and previous acceleration.
+        ego: Where that is on the path.
+        profile: Reference of the next steps.
+        sets: Forbidden sets of the road users nearby.
+    """
+
+    start: FloatArray
+    ego: EgoOnPath
+    profile: SpeedProfile
+    sets: ForbiddenSets
+
+
+class _Attempt(NamedTuple):
+    """A solution and the sets that it was asked to keep out of."""
+
+    solution: Solution
+    sets: ForbiddenSets
+
+
+class MpcEpisode:
+    """Plans the cycles of one episode, each from what the last one found."""
+
+    def __init__(
+        self,
+        config: MpcConfig,
+        task: PlanningTask,
+        road_map: RoadMap,
+        vehicle: VehicleParameters,
+    ) -> None:
+        """Lays out path and goals.
+
+        Args:
+            config: Settings.
+            task: Start, goal and route.
+            road_map: The map; where the path leaves it, the ego has to be done.
+            vehicle: The ego.
+        """
+        self._config = config
+        self._vehicle = vehicle
+        self._dt = task.dt
+        self._final_step = task.final_step
+        self._problems = problems(config, vehicle, task.dt)
+        self._radius = disc_offsets(vehicle, config.discs)[1] + config.clearance
+        self._stations = station_offsets(vehicle)
+        self._path = aligned_path(task, config.path)
+        end = _end_of_road(task, road_map)
+        self._farthest = end - vehicle.length / 2.0 - config.path.end_margin
+        windows = locate_goals(task, self._path, config.goal, self._farthest)
+        self._has_goals = bool(windows)
+        self._lane = Lane(config.traffic, self._path, vehicle, float(task.start[EGO_VELOCITY]))
+        self._speed = SpeedPlanner(config, vehicle, self._path, windows, task.dt)
+        self._sampler = Sampler(config, vehicle, self._path, task.dt)
+        self._arclength = float(self._path.locate(task.start[:2]))
+        self._last: _LastCycle | None = None
+
+    def plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        """Plans one cycle.
+
+        Args:
+            observation: What is known now.
+            occupancy: Sets to keep out of, at least as far ahead as the horizon.
+
+        Returns:
+            The plan.
+        """
+        scene = self._look(observation, occupancy)
+        attempts, fallback = self._attempts(observation.step, scene)
+        best = min(attempts, key=lambda a: (not a.solution.usable, a.solution.cost))
+        report = _report(attempts, best)
+        if not best.solution.usable and fallback is not None:
+            self._last = None
+            return _plan(observation, fallback, replace(report, fallback="sampled"))
+        self._last = self._remember(observation.step, best.solution, report.slack)
+        return _plan(observation, self._last.guess, report)
+
+    def _look(self, observation: Observation, occupancy: Occupancy) -> _Scene:
+        """Where the ego is, what it refers to, and what it keeps out of."""
+        ego = self._locate(observation)
+        self._arclength = ego.arclength
+        traffic = self._lane.look_around(observation, ego)
+        # Recordings end, and so do their maps: what is left of both has to go together.
+        left = max(self._final_step - observation.step, 1) * self._dt
+        cruise = min(traffic.cruise, max(self._farthest - ego.position, 0.0) / left)
+        profile = self._speed.plan(ego, replace(traffic, cruise=cruise))
+        return _Scene(
+            start=np.append(observation.ego, _previous_acceleration(observation)),
+            ego=ego,
+            profile=profile,
+            sets=self._sets(observation, occupancy, profile, traffic),
+        )
+
+    def _locate(self, observation: Observation) -> EgoOnPath:
+        """Where the ego is on the path, near to where it was."""
+        located, offset = self._path.project(observation.ego[:2], np.array(self._arclength))
+        return EgoOnPath(
+            step=observation.step,
+            arclength=float(located),
+            offset=float(offset),
+            position=float(located) + self._vehicle.rear_to_centre,
+            velocity=float(observation.ego[EGO_VELOCITY]),
+        )
+
+    def _sets(
+        self,
+        observation: Observation,
+        occupancy: Occupancy,
+        profile: SpeedProfile,
+        traffic: Traffic,
+    ) -> ForbiddenSets:
+        """Forbidden sets of the road users that come closest to where the ego will be."""
+        config, n = self._config, self._config.horizon
+        way = self._path.at(profile.arclength[1:])[:, :2]
+        delta = np.where(occupancy.valid[:, :n, None], occupancy.centre[:, :n] - way, np.inf)
+        away = np.sqrt((delta**2).sum(axis=-1)).min(axis=-1, initial=np.inf)
+        keep = np.argsort(away, kind="stable")[: config.sets.watched]
+        keep = keep[np.isfinite(away[keep])]
+        penalty = config.set_penalty * np.linspace(1.0, config.far_penalty, n)
+        # An episode ends with its goal's deadline: nothing later may block the last metres.
+        extended = max(self._final_step - observation.step, 0) if self._has_goals else n
+        sets = forbidden_sets(occupancy, self._radius, keep, penalty, extended)
+        sets = stretch_back(sets, traffic.followers[keep], config.sets.tail)
+        return release(sets, self._sampler.disc_centres(observation.ego), self._dt, config.sets)
+
+    def _attempts(self, step: int, scene: _Scene) -> tuple[list[_Attempt], Guess | None]:
+        """Solves from the last plan, and from a sampled candidate where that promises more.
+
+        Returns:
+            The attempts, and the best candidate where candidates were looked at.
+        """
+        last, settings = self._last, self._config.sampler
+        attempts: list[_Attempt] = []
+        warm = None if last is None else self._warm_start(last, step)
+        if warm is not None:
+            attempts.append(self._solve(scene, warm))
+        due = last is None or last.cycles % self._config.resample_every == 0
+        pressed = last is not None and last.slack > settings.slack_seen
+        if not due and not pressed and _any_usable(attempts):
+            return attempts, None
+        candidate, cost = self._best_candidate(scene)
+        bar = np.inf if warm is None else self._cost_of(warm, scene)
+        promising = cost < bar - max(settings.worth_it, settings.better * bar)
+        if promising or not _any_usable(attempts):
+            attempts.append(self._solve(scene, candidate))
+        return attempts, candidate
+
+    def _best_candidate(self, scene: _Scene) -> tuple[Guess, float]:
+        """The best sampled candidate and its cost."""
+        candidates = self._sampler.sample(scene.start, scene.ego, scene.profile)
+        costs = self._sampler.rate(candidates, scene.sets, scene.profile)
+        best = int(np.argmin(costs))
+        return candidates.guess(best), float(costs[best])
+
+    def _cost_of(self, guess: Guess, scene: _Scene) -> float:
+        """What the rating of candidates says of a guess."""
+        s, offset = self._path.project(guess.states[:, :2], guess.arclength)
+        states = guess.states.copy()
+        states[1:, PREVIOUS_ACCELERATION] = guess.inputs[:, ACCELERATION]
+        candidate = Candidates(states[None], guess.inputs[None], s[None], offset[None])
+        return float(self._sampler.rate(candidate, scene.sets, scene.profile)[0])
+
+    def _warm_start(self, last: _LastCycle, step: int) -> Guess | None:
+        """The last plan, moved along time by the steps that have passed."""
+        passed, n, guess = step - last.step, self._config.horizon, last.guess
+        if not 0 < passed < n:
+            return None
+        coasting = np.zeros(INPUT_SIZE)
+        tail = [guess.states[-1]]
+        for _ in range(passed):
+            moved = self._vehicle.step(tail[-1][:EGO_SIZE], coasting, self._dt)
+            tail.append(np.append(moved, 0.0))
+        states = np.vstack([guess.states[passed:], tail[1:]])
+        later = np.arange(n + 1) + passed
+        over = np.maximum(later - n, 0)
+        return Guess(
+            states=states,
+            inputs=np.vstack([guess.inputs[passed:], np.tile(coasting, (passed, 1))]),
+            road_slack=guess.road_slack[np.minimum(later[:-1], n - 1)],
+            arclength=guess.arclength[np.minimum(later, n)]
+            + over * self._dt * states[-1, EGO_VELOCITY],
+        )
+
+    def _remember(self, step: int, solution: Solution, slack: float) -> _LastCycle:
+        """What the next cycle begins with."""
+        states = solution.states
+        way = np.hypot(np.diff(states[:, 0]), np.diff(states[:, 1]))
+        expected = self._arclength + np.concatenate([[0.0], np.cumsum(way)])
+        arclength, _ = self._path.project(states[:, :2], expected)
+        return _LastCycle(
+            step=step,
+            guess=Guess(states, solution.inputs, solution.road_slack, arclength),
+            slack=slack,
+            cycles=self._last.cycles + 1 if self._last else 1,
+        )
+
+    def _solve(self, scene: _Scene, guess: Guess) -> _Attempt:
+        """Solves the smallest problem that holds the sets near a guess."""
+        discs = self._sampler.disc_centres(guess.states)[1:]
+        near = scene.sets.nearest(discs, self._config.slots, self._config.sets.relevant)
+        problem = next(p for p in self._problems if p.config.slots >= len(near.ids))
+        slots = problem.config.slots
+        s, _ = self._path.project(guess.states[:, :2], guess.arclength)
+        stages = StageParameters(
+            reference=self._reference(s, scene.profile),
+            stations=self._road(guess.states, s, scene.profile),
+            slots=near.fill(slots),
+        )
+        # Slots change their owner between cycles: slacks are made anew from the guess.
+        slack = np.zeros((self._config.horizon, slots))
+        if len(near.ids):
+            slack[:, : len(near.ids)] = np.maximum(1.0 - near.distance(discs).T, 0.0)
+        return _Attempt(problem.solve(scene.start, stages, guess, slack), near)
+
+    def _reference(self, s: FloatArray, profile: SpeedProfile) -> Reference:
+        """What the stages refer to, beside the arc lengths of a guess."""
+        return Reference(
+            path=self._path.at(s)[:, :PATH_SIZE],
+            velocity=profile.velocity,
+            offset=profile.offset,
+            station=profile.arclength - self._vehicle.rear_to_centre - s,
+            station_weight=profile.station_weight,
+            heading=profile.heading,
+            heading_weight=profile.heading_weight,
+        )
+
+    def _road(self, states: FloatArray, s: FloatArray, profile: SpeedProfile) -> Station:
+        """The road beside the stations of a guess at the arc lengths s."""
+        heading = states[:, EGO_HEADING, None]
+        axis = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        points = states[:, None, :2] + self._stations[:, None] * axis
+        along, _ = self._path.project(points, s[:, None] + self._stations)
+        beside = self._path.at(along)
+        right, left = beside[..., PATH_RIGHT], beside[..., PATH_LEFT]
+        # A goal narrows the way of the ego's centre; the middle station's edges are of its sides.
+        half, middle = half_width(self._config, self._vehicle), STATIONS // 2
+        right[:, middle] = np.maximum(right[:, middle], profile.right - half)
+        left[:, middle] = np.minimum(left[:, middle], profile.left + half)
+        return Station(path=beside[..., :PATH_SIZE], right=right, left=left)
+
+
+def _any_usable(attempts: list[_Attempt]) -> bool:
+    return any(attempt.solution.usable for attempt in attempts)
+
+
+def _report(attempts: list[_Attempt], best: _Attempt) -> SolveReport:
+    """What is told of a cycle: times and iterations of all attempts, the rest of the best one."""
+    solution = best.solution
+    touched = solution.set_slack.max(axis=0)[: len(best.sets.ids)] > _SEEN
+    return SolveReport(
+        status=solution.status,
+        iterations=sum(attempt.solution.iterations for attempt in attempts),
+        seconds=sum(attempt.solution.seconds for attempt in attempts),
+        slack=float(solution.set_slack.max()),
+        road_slack=max(float(solution.road_slack.max()), 0.0),
+        active_ids=tuple(int(i) for i in best.sets.ids[touched]),
+    )
+
+
+def _plan(observation: Observation, guess: Guess, report: SolveReport) -> Plan:
+    states = guess.states[:, :EGO_SIZE].copy()
+    states[0] = observation.ego
+    return Plan(states=states, inputs=guess.inputs, report=report)
+
+
+def _end_of_road(task: PlanningTask, road_map: RoadMap) -> float:
+    """Arc length, m, at which the route's path first leaves the road after the start."""
+    route = task.route
+    begin = int(np.argmin(np.hypot(*(route.path - task.start[:2]).T)))
+    off = ~shapely.contains_xy(road_map.drivable, route.path[begin:])
+    return float(route.arclength[begin + int(np.argmax(off))]) if off.any() else np.inf
+
+
+def _previous_acceleration(observation: Observation) -> float:
+    """Acceleration of the last step; zero at the start, where it is not known."""
+    history = observation.ego_history[:, EGO_VELOCITY]
+    if len(history) < 2 or not np.isfinite(history[-2]):
+        return 0.0
+    return float((history[-1] - history[-2]) / observation.dt)

@@ -1,0 +1,159 @@
+"""Where along the reference path a goal's region lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+
+from dosplan.geometry import PATH_HEADING, PATH_X, PATH_Y, EvenPath, wrap_angle
+from dosplan.types import BoolArray, FloatArray, GoalState, PlanningTask
+from dosplan_mpc.config import GoalSettings
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class GoalWindow:
+    """A goal in the path's coordinates, for the ego's centre.
+
+    Attributes:
+        first_step: First step at which it counts.
+        last_step: Last step at which it counts.
+        begin: Arc length at which the region begins, m.
+        end: Arc length at which it ends, m.
+        offset: Lateral offset to drive at there, m.
+        right: Right edge of the region beside the path, m.
+        left: Left edge, m.
+        heading: Heading window on the path's turn, rad, or None.
+        velocity: Velocity window, m/s, or None.
+    """
+
+    first_step: int
+    last_step: int
+    begin: float
+    end: float
+    offset: float
+    right: float
+    left: float
+    heading: Interval | None
+    velocity: Interval | None
+
+
+def locate_goals(
+    task: PlanningTask, path: EvenPath, settings: GoalSettings, farthest: float = np.inf
+) -> tuple[GoalWindow, ...]:
+    """Finds the goals that have a region along the path.
+
+    Args:
+        task: The planning task.
+        path: Its reference path.
+        settings: Settings of the search.
+        farthest: Arc length up to which the ego's centre may go, m.
+
+    Returns:
+        A window for each goal state with a region that lies beside the path.
+    """
+    windows = (_locate(goal, path, settings) for goal in task.goals)
+    return tuple(
+        replace(window, end=max(min(window.end, farthest), window.begin))
+        for window in windows
+        if window is not None
+    )
+
+
+def _locate(goal: GoalState, path: EvenPath, settings: GoalSettings) -> GoalWindow | None:
+    """The window of one goal: a grid of arc lengths and lateral offsets is searched for it."""
+    if goal.region is None:
+        return None
+    arclength = np.arange(0.0, path.length, settings.spacing)
+    reach, spacing = settings.lateral_reach, settings.lateral_spacing
+    offsets = np.arange(-reach, reach + 0.5 * spacing, spacing)
+    region = goal.region.buffer(-settings.edge_margin)
+    if region.is_empty:
+        region = goal.region
+    rows = path.at(arclength)
+    near = _near(goal, region, rows, float(offsets[-1]), settings.turn)
+    arclength, rows = arclength[near], rows[near]
+    inside = _inside(region, rows, offsets)
+    touched = np.any(inside, axis=1)
+    if not touched.any():
+        return None
+    first, last = _first_stretch(touched)
+    low, high = _common_offsets(inside[first : last + 1], offsets, settings.common_share)
+    right, left = float(offsets[low]), float(offsets[high])
+    offset = _nearest_offset(right, left, settings.lateral_margin)
+    column = int(np.argmin(np.abs(offsets - offset)))
+    along = first + np.flatnonzero(inside[first : last + 1, column])
+    begin, end = along[0], along[-1]
+    return GoalWindow(
+        first_step=goal.first_step,
+        last_step=goal.last_step,
+        begin=float(arclength[begin]),
+        end=float(arclength[end]),
+        offset=offset,
+        right=right,
+        left=left,
+        heading=_on_turn_of(rows[begin, PATH_HEADING], goal.heading),
+        velocity=goal.velocity,
+    )
+
+
+def _near(
+    goal: GoalState, region: shapely.Geometry, rows: FloatArray, reach: float, turn: float
+) -> BoolArray:
+    """(S,) whether rows of the path are near the region and head about as the goal asks."""
+    near: BoolArray = shapely.dwithin(region, shapely.points(rows[:, :2]), reach)
+    if goal.heading is not None:
+        middle = 0.5 * (goal.heading[0] + goal.heading[1])
+        half = 0.5 * (goal.heading[1] - goal.heading[0])
+        near = near & (np.abs(wrap_angle(rows[:, PATH_HEADING] - middle)) <= half + turn)
+    return near
+
+
+def _inside(region: shapely.Geometry, rows: FloatArray, offsets: FloatArray) -> BoolArray:
+    """(S, O) whether the region holds the points beside rows of the path."""
+    x = rows[:, PATH_X, None] - np.sin(rows[:, PATH_HEADING, None]) * offsets
+    y = rows[:, PATH_Y, None] + np.cos(rows[:, PATH_HEADING, None]) * offsets
+    inside: BoolArray = shapely.contains_xy(region, x, y)
+    return inside
+
+
+def _first_stretch(touched: BoolArray) -> tuple[int, int]:
+    """First and last index of the first run of true values."""
+    first = int(np.argmax(touched))
+    stretch = touched[first:]
+    length = len(stretch) if stretch.all() else int(np.argmin(stretch))
+    return first, first + length - 1
+
+
+def _common_offsets(inside: BoolArray, offsets: FloatArray, share: float) -> tuple[int, int]:
+    """First and last index of the offsets around the path that are inside nearly all along.
+
+    They are taken from the middle half of the stretch: a region's corners are narrow.
+    """
+    quarter = (len(inside) - 1) // 4
+    held = inside[quarter : len(inside) - quarter].mean(axis=0)
+    common = held > share * held.max()
+    low = high = int(np.argmin(np.where(common, np.abs(offsets), np.inf)))
+    while low > 0 and common[low - 1]:
+        low -= 1
+    while high < len(offsets) - 1 and common[high + 1]:
+        high += 1
+    return low, high
+
+
+def _nearest_offset(right: float, left: float, margin: float) -> float:
+    """The lateral offset next to the path that keeps its distance from both edges."""
+    middle = 0.5 * (right + left)
+    return float(np.clip(0.0, min(right + margin, middle), max(left - margin, middle)))
+
+
+def _on_turn_of(path_heading: float, window: Interval | None) -> Interval | None:
+    """A heading window, rad, on the same turn as the path's heading."""
+    if window is None:
+        return None
+    middle = path_heading - float(wrap_angle(path_heading - 0.5 * sum(window)))
+    half = 0.5 * (window[1] - window[0])
+    return middle - half, middle + half

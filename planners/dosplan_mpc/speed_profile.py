@@ -1,0 +1,319 @@
+"""The reference of the next steps: a speed that meets the goal, and the way into its region."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath, braking_envelope
+from dosplan.types import FloatArray
+from dosplan.vehicle import VehicleParameters
+from dosplan_mpc.config import MpcConfig, SpeedSettings, Style
+from dosplan_mpc.goal_window import GoalWindow
+from dosplan_mpc.reference import EgoOnPath
+from dosplan_mpc.traffic import Traffic
+
+_GRID = 1.0  # Spacing of the arc lengths at which the speed limit is known, m.
+_SHORTEST_GRID = 60.0  # m
+_FASTEST = 45.0  # m/s; the grid reaches as far as this speed takes the ego in the horizon.
+_BEYOND_GOAL = 5.0  # m of the grid behind a goal's region.
+# Speeds that are tried for a goal, m/s.
+_SPEEDS = np.concatenate([np.linspace(0.05, 12.0, 80), np.linspace(12.25, 45.0, 132)])
+_STRAIGHT = 1e-3  # Curvature below which a path limits no speed, 1/m; also a change of steering.
+
+
+@dataclass(frozen=True)
+class SpeedProfile:
+    """Reference of the next steps.
+
+    Attributes:
+        velocity: (N + 1,) m/s.
+        arclength: (N + 1,) where the ego's centre is at that speed, m.
+        station_weight: (N + 1,) what being elsewhere costs, 1/m2.
+        offset: (N + 1,) lateral offset from the path, m.
+        right: (N + 1,) right edge that a goal asks the ego's centre to keep, m; -inf without one.
+        left: (N + 1,) left edge, m; inf without one.
+        heading: (N + 1,) heading that a goal asks for, rad.
+        heading_weight: (N + 1,) what another heading costs, 1/rad2.
+    """
+
+    velocity: FloatArray
+    arclength: FloatArray
+    station_weight: FloatArray
+    offset: FloatArray
+    right: FloatArray
+    left: FloatArray
+    heading: FloatArray
+    heading_weight: FloatArray
+
+
+@dataclass(frozen=True)
+class SpeedLimit:
+    """How fast the ego may be ahead, in one style of driving.
+
+    Attributes:
+        arclength: (S,) equally spaced from the ego's centre on, m.
+        velocity: (S,) m/s.
+        style: The accelerations it is made with.
+    """
+
+    arclength: FloatArray
+    velocity: FloatArray
+    style: Style
+
+
+def curve_speed(
+    path: EvenPath,
+    arclength: FloatArray,
+    lateral_acceleration: float,
+    vehicle: VehicleParameters,
+    settings: SpeedSettings,
+) -> FloatArray:
+    """Speed at which the path's curves are taken: what tyres and the steering's rate allow.
+
+    Args:
+        path: Reference path.
+        arclength: (S,) m.
+        lateral_acceleration: m/s2.
+        vehicle: The ego.
+        settings: Over which distance the change of steering is taken, and its share.
+
+    Returns:
+        (S,) m/s.
+    """
+    curvature = np.maximum(np.abs(path.at(arclength)[:, PATH_CURVATURE]), _STRAIGHT)
+    winding = settings.winding
+    around = np.stack([path.at(arclength - winding), path.at(arclength + winding)])
+    steering = np.arctan(vehicle.wheelbase * around[..., PATH_CURVATURE])
+    turn = np.abs(steering[1] - steering[0]) / (2.0 * winding)
+    rate = settings.steering_share * vehicle.max_steering_rate / np.maximum(turn, _STRAIGHT)
+    return np.asarray(np.minimum(np.sqrt(lateral_acceleration / curvature), rate))
+
+
+class SpeedPlanner:
+    """Makes the reference of every cycle of an episode."""
+
+    def __init__(
+        self,
+        config: MpcConfig,
+        vehicle: VehicleParameters,
+        path: EvenPath,
+        windows: tuple[GoalWindow, ...],
+        dt: float,
+    ) -> None:
+        """Keeps what does not change during an episode.
+
+        Args:
+            config: Settings.
+            vehicle: The ego.
+            path: Reference path.
+            windows: Goals along it; the first that can still be met counts.
+            dt: Step, s.
+        """
+        self._config = config
+        self._vehicle = vehicle
+        self._path = path
+        self._windows = windows
+        self._dt = dt
+        self._steps = np.arange(config.horizon + 1)
+
+    def plan(self, ego: EgoOnPath, traffic: Traffic) -> SpeedProfile:
+        """Speed and offset: for the goal where there is one, with the traffic otherwise.
+
+        Args:
+            ego: Where the ego is.
+            traffic: Speed that is wanted but for the goal, and whether a follower presses.
+
+        Returns:
+            The reference.
+        """
+        window = self._next_goal(ego)
+        limit, target = self._choose_style(window, ego, traffic)
+        waiting = (
+            window is not None
+            and window.first_step > ego.step
+            and target < self._config.speed.crawl
+        )
+        velocity = self._velocity(window, ego, limit, target, waiting)
+        arclength = self._stations(ego.position, velocity)
+        if window is None:
+            return _without_goal(velocity, arclength)
+        right, left, heading, heading_weight = self._at_goal(window, ego.step, arclength)
+        weight = self._config.station_weight * (self._config.speed.waiting if waiting else 1.0)
+        return SpeedProfile(
+            velocity=velocity,
+            arclength=arclength,
+            station_weight=np.full(len(self._steps), weight),
+            offset=self._offset(window, arclength, max(ego.velocity, target)),
+            right=right,
+            left=left,
+            heading=heading,
+            heading_weight=heading_weight,
+        )
+
+    def cruise_for_goal(
+        self, window: GoalWindow, ego: EgoOnPath, cruise: float, limit: SpeedLimit
+    ) -> tuple[bool, float]:
+        """Speed that brings the ego's centre into the region within its time window.
+
+        Driving at speed c where the limit allows it, the ego enters the region after the time
+        ``t_in(c)`` and leaves it after ``t_out(c)``. Wanted is the c nearest to ``cruise`` with
+        ``t_in(c) <= deadline`` and ``t_out(c) >= opening``.
+
+        Args:
+            window: The goal.
+            ego: Where the ego is.
+            cruise: Speed that is wanted but for the goal, m/s.
+            limit: Speed limit ahead.
+
+        Returns:
+            Whether the deadline can be met within the limit, and the speed, m/s.
+        """
+        settings = self._config.speed
+        opening = (window.first_step - ego.step) * self._dt
+        deadline = (window.last_step - ego.step) * self._dt
+        depth = window.end - window.begin
+        margin = min(settings.depth_margin, settings.depth_share * depth)
+        enter = window.begin + margin - ego.position
+        leave = window.end - margin - ego.position
+        if deadline < 0.0:
+            return True, cruise
+        if leave <= 0.0:
+            return True, 0.0 if opening > 0.0 else cruise
+        elapsed = _elapsed(limit, ego.velocity)
+        ahead = limit.arclength - limit.arclength[0]
+        entered, left = (
+            elapsed[:, min(int(np.searchsorted(ahead, way)), len(ahead) - 1)]
+            for way in (enter, leave)
+        )
+        in_time = entered <= max(deadline - settings.deadline_reserve, 0.5 * deadline)
+        not_early = np.flatnonzero(left >= opening)
+        slowest = float(_SPEEDS[np.argmax(in_time)]) if in_time.any() else float(_SPEEDS[-1])
+        fastest = float(_SPEEDS[not_early[-1]]) if len(not_early) else 0.0
+        return bool(in_time.any()), min(max(cruise, slowest), fastest)
+
+    def _next_goal(self, ego: EgoOnPath) -> GoalWindow | None:
+        """The first goal that is neither over nor passed."""
+        # A window's end may be this much short of the region's edge.
+        short = self._config.goal.edge_margin + self._config.goal.spacing
+        return next(
+            (w for w in self._windows if w.last_step >= ego.step and w.end + short > ego.position),
+            None,
+        )
+
+    def _choose_style(
+        self, window: GoalWindow | None, ego: EgoOnPath, traffic: Traffic
+    ) -> tuple[SpeedLimit, float]:
+        """The calmest style that meets the goal: its limit, and the speed to go to, m/s."""
+        config = self._config
+        reach = max(_SHORTEST_GRID, _FASTEST * config.horizon * self._dt)
+        if window is not None:
+            reach = max(reach, window.end - ego.position + _BEYOND_GOAL)
+        grid = ego.position + np.arange(0.0, reach, _GRID)
+        styles = (config.calm, config.hurried, config.utmost)
+        # Whoever is followed closely does not dawdle in bends either.
+        for style in styles[int(traffic.pressed) :]:
+            limit, target = self._limit(window, grid, style), traffic.cruise
+            if window is None:
+                break
+            met, target = self.cruise_for_goal(window, ego, traffic.cruise, limit)
+            if met:
+                break
+        return limit, target
+
+    def _limit(self, window: GoalWindow | None, grid: FloatArray, style: Style) -> SpeedLimit:
+        """What curves and a goal's velocity window allow, with the braking before them."""
+        settings = self._config.speed
+        limit = curve_speed(self._path, grid, style.lateral, self._vehicle, settings)
+        if window is not None and window.velocity is not None:
+            low, high = window.velocity
+            cap = high - settings.velocity_margin * (high - low)
+            limit = np.where(grid >= window.begin - _GRID, np.minimum(limit, cap), limit)
+        return SpeedLimit(grid, braking_envelope(limit**2, grid, style.longitudinal), style)
+
+    def _velocity(
+        self,
+        window: GoalWindow | None,
+        ego: EgoOnPath,
+        limit: SpeedLimit,
+        target: float,
+        waiting: bool,
+    ) -> FloatArray:
+        """(N + 1,) speed, m/s: a ramp to the target, below the limit, fast enough for the goal."""
+        settings, style = self._config.speed, limit.style
+        time = self._dt * self._steps
+        faster = settings.run_up * style.longitudinal
+        slower = self._config.utmost.longitudinal if waiting else faster
+        ramp = ego.velocity + np.clip(target - ego.velocity, -slower * time, faster * time)
+        arclength = self._stations(ego.position, ramp)
+        velocity = np.minimum(ramp, np.interp(arclength, limit.arclength, limit.velocity))
+        if window is None or window.velocity is None:
+            return np.asarray(velocity)
+        lowest, highest = window.velocity
+        low = lowest + settings.velocity_margin * (highest - lowest)
+        run_up = np.maximum(window.begin - arclength, 0.0)
+        at_least = np.sqrt(np.maximum(low**2 - 2.0 * style.longitudinal * run_up, 0.0))
+        return np.asarray(np.maximum(velocity, at_least))
+
+    def _offset(self, window: GoalWindow, arclength: FloatArray, speed: float) -> FloatArray:
+        """(N + 1,) lateral offset, m: that of the goal is taken up smoothly on the way in."""
+        settings = self._config.speed
+        way = max(settings.shortest_approach, settings.approach_seconds * speed)
+        part = (arclength - (window.begin - way)) / (settings.approach_end * way)
+        part = np.clip(part, 0.0, 1.0)
+        return np.asarray(window.offset * part**2 * (3.0 - 2.0 * part))
+
+    def _at_goal(
+        self, window: GoalWindow, step: int, arclength: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """(N + 1,) each: right and left edge, m, heading, rad, and its weight, 1/rad2."""
+        settings = self._config.speed
+        inside = arclength >= window.begin - settings.early_metres
+        inside &= arclength <= window.end + settings.late_metres
+        inside &= step + self._steps >= window.first_step - settings.early_steps
+        heading, weight = self._path.at(arclength)[:, PATH_HEADING], np.zeros(len(self._steps))
+        if window.heading is not None:
+            low, high = window.heading
+            margin = min(settings.heading_margin, settings.heading_share * (high - low))
+            heading = np.clip(heading, low + margin, high - margin)
+            weight = np.where(inside, self._config.goal_heading_weight, 0.0)
+        right = np.where(inside, window.right, -np.inf)
+        left = np.where(inside, window.left, np.inf)
+        return right, left, heading, weight
+
+    def _stations(self, position: float, velocity: FloatArray) -> FloatArray:
+        """(N + 1,) arc lengths, m, that are reached at a velocity over time: trapezoids."""
+        way = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * self._dt)
+        return np.asarray(position + np.concatenate([[0.0], way]))
+
+
+def _without_goal(velocity: FloatArray, arclength: FloatArray) -> SpeedProfile:
+    zero = np.zeros(len(velocity))
+    return SpeedProfile(
+        velocity=velocity,
+        arclength=arclength,
+        station_weight=zero,
+        offset=zero,
+        right=np.full_like(zero, -np.inf),
+        left=np.full_like(zero, np.inf),
+        heading=zero,
+        heading_weight=zero,
+    )
+
+
+def _elapsed(limit: SpeedLimit, velocity: float) -> FloatArray:
+    """(C, S) times, s, at which the ego is along the limit's grid, for each speed that is tried.
+
+    Speed over distance while going from v to c at a constant rate a is ``v^2 +- 2 a s``, up to c.
+    """
+    grid, speeds = limit.arclength, _SPEEDS[:, None]
+    middle = np.maximum(grid - grid[0] - 0.5 * (grid[1] - grid[0]), 0.0)
+    energy = 2.0 * limit.style.longitudinal * middle
+    faster = np.minimum(np.sqrt(velocity**2 + energy), speeds)
+    slower = np.maximum(np.sqrt(np.maximum(velocity**2 - energy, 0.0)), speeds)
+    speed = np.where(speeds > velocity, faster, slower)
+    pace = np.diff(grid, prepend=grid[0]) / np.maximum(
+        np.minimum(speed, limit.velocity), _SPEEDS[0]
+    )
+    return np.asarray(np.cumsum(pace, axis=1))

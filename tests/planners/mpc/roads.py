@@ -1,0 +1,49 @@
+"""Stages of a straight road, for tests of the optimal control problem."""
+
+from __future__ import annotations
+
+import numpy as np
+from dosplan_mpc.obstacles import ForbiddenSets
+from dosplan_mpc.shape import STATIONS, station_offsets
+from dosplan_mpc.stage import Reference, StageParameters, Station
+
+from dosplan.types import FloatArray
+from dosplan.vehicle import VehicleParameters
+
+
+def straight_stages(x: FloatArray, slots: int, sets: ForbiddenSets) -> StageParameters:
+    """A road along +x with edges 5 m to both sides, driven at 10 m/s.
+
+    Args:
+        x: (N + 1,) where the guess is, m.
+        slots: Number of slots of a stage.
+        sets: Forbidden sets of stages 1 .. N.
+
+    Returns:
+        Parameters of the stages.
+    """
+    zero = np.zeros(len(x))
+    beside = x[:, None] + station_offsets(VehicleParameters())
+    return StageParameters(
+        reference=Reference(
+            path=_along_x(x),
+            velocity=np.full(len(x), 10.0),
+            offset=zero,
+            station=zero,
+            station_weight=zero,
+            heading=zero,
+            heading_weight=zero,
+        ),
+        stations=Station(
+            path=_along_x(beside),
+            right=np.full((len(x), STATIONS), -5.0),
+            left=np.full((len(x), STATIONS), 5.0),
+        ),
+        slots=sets.fill(slots),
+    )
+
+
+def _along_x(x: FloatArray) -> FloatArray:
+    """(..., 4) the path: the x axis."""
+    zero = np.zeros_like(x)
+    return np.stack([x, zero, zero, zero], axis=-1)

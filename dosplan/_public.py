@@ -23,37 +23,24 @@ from dosplan.plugins.registry import (
 )
 from dosplan.results.comparison import Comparison, compare_runs
 from dosplan.results.dataframes import to_pandas, to_polars
+from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest
-from dosplan.results.recording import Recording, load_recording
+from dosplan.results.recording import Recording
 from dosplan.results.rows import read_run
 from dosplan.results.summary import Summary, read_summary
 from dosplan.running.config import RunConfig, default_folder
 from dosplan.running.executor import Executor
 from dosplan.running.progress import Progress, ProgressObserver
 from dosplan.running.run import run
-from dosplan.scoring.score import score
 from dosplan.simulation.loop import SimulationConfig
 from dosplan.simulation.loop import run_episode as simulate
 from dosplan.simulation.traffic import Traffic
-from dosplan.types import Arm, Episode, Scenario, Score
+from dosplan.types import Arm, Scenario, Score
 
 if TYPE_CHECKING:
     import pandas
     import polars
-
-
-@dataclass(frozen=True)
-class Driven:
-    """One episode that was driven here.
-
-    Attributes:
-        episode: What happened.
-        score: Its row.
-    """
-
-    episode: Episode
-    score: Score
 
 
 @dataclass(frozen=True)
@@ -92,7 +79,7 @@ class Results:
         Raises:
             FileError: There is none, or it cannot be read.
         """
-        return load_recording(RunFolder(self.path).recording(scenario, Arm(arm)))
+        return Recording.load(RunFolder(self.path).recording(scenario, Arm(arm)))
 
     def to_polars(self) -> polars.DataFrame:
         """The rows as a polars frame.
@@ -120,7 +107,7 @@ def run_episode(
     seed: int = 0,
     replan_every: int = 1,
     traffic: Traffic | str = "replay",
-) -> Driven:
+) -> Drive:
     """Drives and scores one scenario, in this process.
 
     Args:
@@ -133,7 +120,8 @@ def run_episode(
         traffic: Who else is on the road: a traffic, or the name of one.
 
     Returns:
-        The episode and its score. What a plug-in raises is in the score's ``error``.
+        The drive: ``row``, its score; ``episode``, all that happened; ``recording``, what a run
+        would keep of that. What a plug-in raises is in the row's ``error``.
 
     Raises:
         RegistryError: There is no plug-in of that name.
@@ -146,7 +134,7 @@ def run_episode(
         traffic = create_traffic(traffic, seed)
     config = SimulationConfig(replan_every=replan_every)
     episode = simulate(scenario, planner, predictor, Arm(arm), config, traffic)
-    return Driven(episode, score(scenario, episode))
+    return Drive.of(scenario, episode)
 
 
 def run_suite(

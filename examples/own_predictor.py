@@ -30,4 +30,4 @@ if __name__ == "__main__":
     for arm in dosplan.Arm:
         driven = dosplan.run_episode(scenario, "idm", Straight(), arm)
         widest = max(float(o.semi_axes.max(initial=0.0)) for o in driven.episode.occupancies)
-        print(f"{scenario.id} {arm}: {driven.score.outcome}, widest set {2.0 * widest:.1f} m")
+        print(f"{scenario.id} {arm}: {driven.row.outcome}, widest set {2.0 * widest:.1f} m")

@@ -161,7 +161,7 @@ def _takes(options: argparse.Namespace) -> Takes:
 
 def _scenario(options: argparse.Namespace) -> ScenarioRef:
     """The scenario of a file, or of an id in a source."""
-    from dosplan.results.lookup import find_scenario
+    from dosplan.results.drive import find_scenario
     from dosplan.scenario import find_scenarios
     from dosplan.scenario.sources.catalogue import SUITE
 

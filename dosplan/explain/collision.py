@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from dosplan.evaluation.metrics import displacement
-from dosplan.explain.drive import Drive
 from dosplan.geometry import mahalanobis, to_body, wrap_angle
+from dosplan.results.drive import Drive
 from dosplan.results.recording import NEARBY_METRES
 from dosplan.scoring.collision import Contact
 from dosplan.scoring.fault import STOPPED_VELOCITY

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dosplan.explain.collision import CollisionFacts, collision_facts
-from dosplan.explain.drive import Drive
 from dosplan.explain.goal import GoalFacts, goal_facts
 from dosplan.explain.margins import Margins, margins
 from dosplan.explain.planning import PlanningFacts, planning_facts
 from dosplan.explain.road import RoadFacts, road_facts
+from dosplan.results.drive import Drive, find_drives
 from dosplan.results.folder import RunFolder
-from dosplan.results.lookup import find_recorded
-from dosplan.results.recording import Recording
-from dosplan.types import Arm, Outcome, Scenario, Score
+from dosplan.types import Arm, Outcome, Score
 
 
 @dataclass(frozen=True)
@@ -86,35 +84,27 @@ def explain(
         FileError: The folder holds no such episode, or its scenario cannot be found or read, or
             it is not the one that was driven.
     """
-    found = find_recorded(path, scenario, arms, source)
+    folder = RunFolder(path)
     return [
-        _failure(found.folder, row)
-        if recording is None or found.scenario is None
-        else explain_episode(
-            found.scenario, row, recording, traceback=_traceback(found.folder, row)
-        )
-        for row, recording in zip(found.rows, found.recordings, strict=True)
+        _failure(folder, row) if drive is None else explain_drive(drive, _traceback(folder, row))
+        for row, drive in find_drives(path, scenario, arms, source)
     ]
 
 
-def explain_episode(
-    scenario: Scenario, row: Score, recording: Recording, traceback: str | None = None
-) -> Explanation:
-    """Explains an episode.
+def explain_drive(drive: Drive, traceback: str | None = None) -> Explanation:
+    """Explains a drive.
 
     Args:
-        scenario: What was driven.
-        row: Its row.
-        recording: Its file.
+        drive: The drive, with its scenario.
         traceback: File of its traceback, where it has one.
 
     Returns:
         The explanation.
 
     Raises:
-        FileError: The episode was not driven in this scenario.
+        FileError: The drive does not fit its row.
     """
-    drive = Drive(scenario, row, recording)
+    row = drive.row
     contact, off_road, reached = drive.contact, row.out_of_bounds_step, row.goal_step
     return Explanation(
         scenario=row.scenario,

@@ -7,8 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.explain.drive import Drive
 from dosplan.geometry.goal import TOLERANCE, GoalMiss, goal_miss
+from dosplan.results.drive import Drive
 from dosplan.types import USER_HEADING, USER_VELOCITY, GoalState
 
 _DEGREE: Final = np.pi / 180.0

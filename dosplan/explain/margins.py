@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from dosplan.explain.drive import Drive
 from dosplan.geometry import rectangle_corners
+from dosplan.results.drive import Drive
 from dosplan.scoring.collision import shape_at
 from dosplan.types import RoadUserKind
 

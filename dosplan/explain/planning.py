@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.explain.drive import Drive
+from dosplan.results.drive import Drive
 from dosplan.scoring.metrics import SLACK_SEEN
 from dosplan.types import SolveStatus
 

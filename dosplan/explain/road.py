@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 import shapely
 
-from dosplan.explain.drive import Drive
 from dosplan.geometry import ReferencePath, lanelet_polygon, rectangle_corners, to_body
+from dosplan.results.drive import Drive
 from dosplan.types import EGO_STEERING, EGO_VELOCITY, FloatArray, Route
 
 BEND: Final = 0.01

@@ -12,18 +12,18 @@ a second time.
 
 from __future__ import annotations
 
-import io
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from dosplan.system.arrays_file import from_arrays, pack
 from dosplan.system.errors import one_line
-from dosplan.system.files import FileError
+from dosplan.system.files import FileError, write_bytes
 from dosplan.types import (
     EGO_SIZE,
     Arm,
@@ -33,7 +33,6 @@ from dosplan.types import (
     FloatArray,
     IntArray,
     Occupancy,
-    RoadUserKind,
     Scenario,
     SolveReport,
     SolveStatus,
@@ -42,6 +41,7 @@ from dosplan.types import (
 
 KEPT_EVERY: Final = 5  # Predicted steps 5, 10, 15, ... are kept.
 NEARBY_METRES: Final = 60.0  # Sets of road users farther from the ego than this are left out.
+SAME_START: Final = 1e-3  # m, rad and m/s; a reader of another version may round otherwise.
 _GRAIN: Final = 64.0  # A power of two: rounding zeroes the mantissa's tail, which compresses.
 
 _OF_A_CYCLE: Final = (
@@ -49,12 +49,10 @@ _OF_A_CYCLE: Final = (
     "fallback",
 )  # fmt: skip
 
-_FloatArray32 = npt.NDArray[np.float32]
-
 
 @dataclass(frozen=True)
 class Recording:
-    """One episode as read back from its file; C planning cycles, K steps, M kept sets.
+    """One episode as its file keeps it; C planning cycles, K steps, M kept sets.
 
     Attributes:
         scenario_id: Id of the scenario.
@@ -87,6 +85,9 @@ class Recording:
         set_angles: (M, S) direction of the first semi-axis, rad.
         exact: Whether times and slacks are kept exactly; in files of older versions they are in
             single precision.
+
+    Raises:
+        ValueError: Arrays do not fit each other, or what is no number is where one has to be.
     """
 
     scenario_id: str
@@ -116,6 +117,35 @@ class Recording:
     set_angles: FloatArray
     exact: bool = True
 
+    def __post_init__(self) -> None:
+        steps, cycles = len(self.inputs), len(self.cycle_steps)
+        sets, offsets = len(self.set_ids), len(self.set_offsets)
+        shapes = {
+            "states": (steps + 1, EGO_SIZE),
+            "inputs": (steps, 2),
+            **dict.fromkeys(_OF_A_CYCLE, (cycles,)),
+            "plan_centres": (cycles, self.plan_centres.shape[1], 2),
+            "set_cycle": (sets,),
+            "set_ids": (sets,),
+            "set_offsets": (offsets,),
+            "set_centres": (sets, offsets, 2),
+            "set_semi_axes": (sets, offsets, 2),
+            "set_angles": (sets, offsets),
+        }
+        for name, shape in shapes.items():
+            if (found := np.shape(getattr(self, name))) != shape:
+                raise ValueError(f"{name} has shape {found}, expected {shape}")
+        if len(self.active_ids) != cycles:
+            raise ValueError(f"active_ids has {len(self.active_ids)} entries, expected {cycles}")
+        for name in ("states", "inputs", "predict_seconds", "plan_seconds"):
+            if not np.all(np.isfinite(getattr(self, name))):
+                raise ValueError(f"{name} holds what is no number")
+        driven = self.cycle_steps - self.start_step
+        if np.any(np.diff(driven) <= 0) or np.any((driven < 0) | (driven > steps)):
+            raise ValueError("cycle_steps are not steps of the episode, in their order")
+        if np.any((self.set_cycle < 0) | (self.set_cycle >= cycles)):
+            raise ValueError("set_cycle names cycles that are not there")
+
     @property
     def cycle_ms(self) -> FloatArray:
         """(C,) time of each full cycle, predict and plan, ms."""
@@ -137,6 +167,20 @@ class Recording:
             for i in range(len(self.cycle_steps))
         )
 
+    def is_of(self, scenario: Scenario) -> bool:
+        """Whether the episode was driven in this scenario: it starts where the task does.
+
+        Args:
+            scenario: A scenario of the same id, perhaps read from a file that has changed since.
+
+        Returns:
+            Whether step and state at the start agree, the state within ``SAME_START``.
+        """
+        task = scenario.task
+        return self.start_step == task.start_step and bool(
+            np.allclose(self.states[0], task.start, rtol=0.0, atol=SAME_START)
+        )
+
     def tracks_in(self, scenario: Scenario) -> Tracks:
         """The road users as they were driven.
 
@@ -148,107 +192,106 @@ class Recording:
         """
         return scenario.tracks if self.tracks is None else self.tracks
 
+    @classmethod
+    def of(cls, scenario: Scenario, episode: Episode) -> Self:
+        """Takes of an episode what its file keeps.
 
-def pack_recording(scenario: Scenario, episode: Episode) -> bytes:
-    """Packs what an episode's file holds.
+        Args:
+            scenario: What was driven.
+            episode: The episode.
 
-    Args:
-        scenario: What was driven.
-        episode: The episode.
-
-    Returns:
-        Content of the ``.npz`` file.
-    """
-    origin = episode.states[0, :2]
-    reports = [plan.report for plan in episode.plans]
-    arrays: dict[str, Any] = {
-        "scenario_id": np.array(episode.scenario_id),
-        "arm": np.array(episode.arm.value),
-        "start_step": np.array(episode.start_step),
-        "states": episode.states,
-        "inputs": episode.inputs,
-        "traffic": np.array(episode.traffic),
-        **({} if episode.tracks is scenario.tracks else _pack_tracks(episode.tracks)),
-        "end": np.array(episode.end.value),
-        "error": np.array(episode.error or ""),
-        "cycle_steps": episode.cycle_steps,
-        "predict_seconds": episode.predict_seconds,
-        "plan_seconds": episode.plan_seconds,
-        "status": np.array([report.status.word for report in reports], dtype=np.str_),
-        "iterations": np.array([report.iterations for report in reports], dtype=np.int32),
-        "slack": np.array([report.slack for report in reports], dtype=np.float64),
-        "road_slack": np.array([report.road_slack for report in reports], dtype=np.float64),
-        "active_ids": np.array([i for r in reports for i in r.active_ids], dtype=np.int64),
-        "active_counts": np.array([len(r.active_ids) for r in reports], dtype=np.int32),
-        "fallback": np.array([report.fallback or "" for report in reports], dtype=np.str_),
-        "plan_centres": _grain(_planned_centres(scenario, episode) - origin),
-        **_kept_sets(episode, origin),
-    }
-    file = io.BytesIO()
-    np.savez_compressed(file, allow_pickle=False, **arrays)
-    return file.getvalue()
-
-
-def load_recording(path: Path) -> Recording:
-    """Reads an episode's file.
-
-    Args:
-        path: A file that holds what ``pack_recording`` gave.
-
-    Returns:
-        The recording, in the scenario's frame.
-
-    Raises:
-        FileError: The file is missing or is not such a file.
-    """
-    with _opened(path) as file:
-        arrays = {name: file[name] for name in file.files}
-        origin = arrays["states"][0, :2]
-        cycles = len(arrays["cycle_steps"])
-        exact = "predict_seconds" in arrays
-        road_slack = arrays.get("road_slack", np.full(cycles, np.nan))
-        active_ids = arrays.get("active_ids", np.empty(0, dtype=np.int64))
-        active_counts = arrays.get("active_counts", np.zeros(cycles, dtype=np.int32))
-        recording = Recording(
-            scenario_id=str(arrays["scenario_id"]),
-            arm=Arm(str(arrays["arm"])),
-            start_step=int(arrays["start_step"]),
-            states=arrays["states"],
-            inputs=arrays["inputs"],
-            traffic=str(arrays.get("traffic", "replay")),
-            tracks=_unpack_tracks(arrays) if "user_ids" in arrays else None,
-            end=EpisodeEnd(str(arrays["end"])),
-            error=str(arrays["error"]) or None,
-            cycle_steps=arrays["cycle_steps"],
-            predict_seconds=_seconds(arrays, "predict"),
-            plan_seconds=_seconds(arrays, "plan"),
-            status=tuple(arrays["status"].tolist()),
-            iterations=arrays["iterations"].astype(np.int64),
-            slack=arrays["slack"].astype(np.float64),
-            road_slack=road_slack.astype(np.float64),
-            active_ids=tuple(
-                tuple(ids.tolist())
-                for ids in np.split(active_ids, np.cumsum(active_counts))[:cycles]
-            ),
-            fallback=tuple(arrays["fallback"].tolist()),
-            plan_centres=arrays["plan_centres"].astype(np.float64) + origin,
-            set_cycle=arrays["set_cycle"].astype(np.int64),
-            set_ids=arrays["set_ids"],
-            set_offsets=arrays["set_offsets"].astype(np.int64),
-            set_centres=arrays["set_centres"].astype(np.float64) + origin,
-            set_semi_axes=arrays["set_semi_axes"].astype(np.float64),
-            set_angles=arrays["set_angles"].astype(np.float64),
-            exact=exact,
+        Returns:
+            What ``load`` would give of it.
+        """
+        reports = [plan.report for plan in episode.plans]
+        recording = cls(
+            scenario_id=episode.scenario_id,
+            arm=episode.arm,
+            start_step=episode.start_step,
+            states=episode.states,
+            inputs=episode.inputs,
+            traffic=episode.traffic,
+            tracks=None if episode.tracks is scenario.tracks else episode.tracks,
+            end=episode.end,
+            error=episode.error,
+            cycle_steps=episode.cycle_steps,
+            predict_seconds=episode.predict_seconds,
+            plan_seconds=episode.plan_seconds,
+            status=tuple(report.status.word for report in reports),
+            iterations=np.array([report.iterations for report in reports], dtype=np.int64),
+            slack=np.array([report.slack for report in reports], dtype=np.float64),
+            road_slack=np.array([report.road_slack for report in reports], dtype=np.float64),
+            active_ids=tuple(tuple(int(i) for i in report.active_ids) for report in reports),
+            fallback=tuple(str(report.fallback or "") for report in reports),
+            plan_centres=_planned_centres(scenario, episode),
+            **_kept_sets(episode),
         )
-        _check(recording)
-        return recording
+        return recording._stored()._restored()
+
+    def save(self, path: Path) -> None:
+        """Writes the episode's file.
+
+        Args:
+            path: The file, ``.npz``.
+
+        Raises:
+            FileError: It cannot be written.
+        """
+        write_bytes(path, self.pack())
+
+    def pack(self) -> bytes:
+        """Packs the content of the episode's file."""
+        return pack(self._stored(), compressed=True)
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Reads an episode's file.
+
+        Args:
+            path: The file.
+
+        Returns:
+            The recording, in the scenario's frame.
+
+        Raises:
+            FileError: The file is missing or is not such a file.
+        """
+        with _opened(path) as file:
+            arrays = {name: file[name] for name in file.files}
+            if "header" not in arrays:
+                arrays = _of_version_0_4(arrays)
+            return from_arrays(arrays, cls)._restored()
+
+    def _stored(self) -> Self:
+        """With what was planned and predicted as the file holds it."""
+        origin = self.states[0, :2]
+        values: dict[str, Any] = {
+            "plan_centres": self.plan_centres - origin,
+            "set_centres": self.set_centres - origin,
+            "set_semi_axes": self.set_semi_axes,
+            "set_angles": self.set_angles,
+        }
+        for name, value in values.items():
+            values[name] = (np.round(value * _GRAIN) / _GRAIN).astype(np.float32)
+        return replace(self, **values)
+
+    def _restored(self) -> Self:
+        """With what the file holds of it in the scenario's frame."""
+        origin = self.states[0, :2]
+        return replace(
+            self,
+            plan_centres=self.plan_centres.astype(np.float64) + origin,
+            set_centres=self.set_centres.astype(np.float64) + origin,
+            set_semi_axes=self.set_semi_axes.astype(np.float64),
+            set_angles=self.set_angles.astype(np.float64),
+        )
 
 
 def load_cycle_ms(path: Path) -> FloatArray:
     """Reads the times of an episode's planning cycles, and nothing else of its file.
 
     Args:
-        path: A file that holds what ``pack_recording`` gave.
+        path: An episode's file.
 
     Returns:
         (C,) time of each full cycle, predict and plan, ms.
@@ -284,63 +327,27 @@ def _seconds(arrays: Mapping[str, Any], part: str) -> FloatArray:
     return np.asarray(arrays[f"{part}_ms"].astype(np.float64) / 1e3)
 
 
-def _pack_tracks(tracks: Tracks) -> dict[str, npt.NDArray[Any]]:
-    outlines = [np.empty((0, 2)) if outline is None else outline for outline in tracks.outlines]
-    return {
-        "user_ids": tracks.ids,
-        "user_kinds": np.array([kind.value for kind in tracks.kinds], dtype=np.str_),
-        "user_size": tracks.size,
-        "user_states": tracks.states,
-        "user_valid": tracks.valid,
-        "user_outlines": np.concatenate([np.empty((0, 2)), *outlines]),
-        "user_corners": np.array([len(outline) for outline in outlines], dtype=np.int64),
+def _of_version_0_4(arrays: dict[str, Any]) -> dict[str, Any]:
+    """The arrays of a file of version 0.4 as they are named now: it had one for each text, too."""
+    texts = ("scenario_id", "arm", "end", "error", "status", "fallback")
+    header = {name: arrays.pop(name).tolist() for name in (*texts, "start_step")}
+    cycles = len(arrays["cycle_steps"])
+    ids, counts = (arrays.pop(name, None) for name in ("active_ids", "active_counts"))
+    active = [] if ids is None else np.split(ids, np.cumsum(counts))
+    header |= {
+        "error": header["error"] or None,
+        "active_ids": [part.tolist() for part in active][:cycles] or [[]] * cycles,
+        "traffic": "replay",
+        "tracks": None,
+        "exact": False,
     }
-
-
-def _unpack_tracks(arrays: Mapping[str, Any]) -> Tracks:
-    corners = arrays["user_corners"]
-    outlines = np.split(arrays["user_outlines"], np.cumsum(corners))[: len(corners)]
-    return Tracks(
-        ids=arrays["user_ids"],
-        kinds=tuple(RoadUserKind(kind) for kind in arrays["user_kinds"].tolist()),
-        size=arrays["user_size"],
-        states=arrays["user_states"],
-        valid=arrays["user_valid"],
-        outlines=tuple(outline if len(outline) else None for outline in outlines),
-    )
-
-
-def _check(recording: Recording) -> None:
-    """Raises where arrays do not fit each other, or what is no number is where one has to be."""
-    steps, cycles = len(recording.inputs), len(recording.cycle_steps)
-    sets, offsets = len(recording.set_ids), len(recording.set_offsets)
-    shapes = {
-        "states": (steps + 1, EGO_SIZE),
-        "inputs": (steps, 2),
-        **dict.fromkeys(_OF_A_CYCLE, (cycles,)),
-        "plan_centres": (cycles, recording.plan_centres.shape[1], 2),
-        "set_cycle": (sets,),
-        "set_ids": (sets,),
-        "set_offsets": (offsets,),
-        "set_centres": (sets, offsets, 2),
-        "set_semi_axes": (sets, offsets, 2),
-        "set_angles": (sets, offsets),
-    }
-    for name, shape in shapes.items():
-        if (found := np.shape(getattr(recording, name))) != shape:
-            raise ValueError(f"{name} has shape {found}, expected {shape}")
-    for name in ("states", "inputs", "predict_seconds", "plan_seconds"):
-        if not np.all(np.isfinite(getattr(recording, name))):
-            raise ValueError(f"{name} holds what is no number")
-    driven = recording.cycle_steps - recording.start_step
-    if np.any(np.diff(driven) <= 0) or np.any((driven < 0) | (driven > steps)):
-        raise ValueError("cycle_steps are not steps of the episode, in their order")
-    if np.any((recording.set_cycle < 0) | (recording.set_cycle >= cycles)):
-        raise ValueError("set_cycle names cycles that are not there")
-
-
-def _grain(values: FloatArray) -> _FloatArray32:
-    return (np.round(values * _GRAIN) / _GRAIN).astype(np.float32)
+    for part in ("predict", "plan"):
+        arrays[f"{part}_seconds"] = _seconds(arrays, part)
+        del arrays[f"{part}_ms"]
+    arrays.setdefault("road_slack", np.full(cycles, np.nan))
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    arrays["data"] = np.empty(0, dtype=np.uint8)
+    return arrays
 
 
 def _planned_centres(scenario: Scenario, episode: Episode) -> FloatArray:
@@ -351,7 +358,8 @@ def _planned_centres(scenario: Scenario, episode: Episode) -> FloatArray:
     return centres
 
 
-def _kept_sets(episode: Episode, origin: FloatArray) -> dict[str, npt.NDArray[np.generic]]:
+def _kept_sets(episode: Episode) -> dict[str, Any]:
+    """The sets that are kept of all that were predicted."""
     horizon = max((occupancy.horizon for occupancy in episode.occupancies), default=0)
     columns = np.arange(KEPT_EVERY - 1, horizon, KEPT_EVERY)
     cycles: list[IntArray] = [np.empty(0, dtype=np.int64)]
@@ -367,16 +375,16 @@ def _kept_sets(episode: Episode, origin: FloatArray) -> dict[str, npt.NDArray[np
         hidden = ~occupancy.valid[kept]
         cycles.append(np.full(int(near.sum()), cycle))
         ids.append(occupancy.ids[near])
-        centres.append(np.where(hidden[..., None], np.nan, occupancy.centre[kept] - origin))
+        centres.append(np.where(hidden[..., None], np.nan, occupancy.centre[kept]))
         semi_axes.append(np.where(hidden[..., None], np.nan, occupancy.semi_axes[kept]))
         angles.append(np.where(hidden, np.nan, occupancy.angle[kept]))
     return {
-        "set_cycle": np.concatenate(cycles).astype(np.int32),
+        "set_cycle": np.concatenate(cycles),
         "set_ids": np.concatenate(ids),
-        "set_offsets": (columns + 1).astype(np.int32),
-        "set_centres": _grain(np.concatenate(centres)),
-        "set_semi_axes": _grain(np.concatenate(semi_axes)),
-        "set_angles": _grain(np.concatenate(angles)),
+        "set_offsets": columns + 1,
+        "set_centres": np.concatenate(centres),
+        "set_semi_axes": np.concatenate(semi_axes),
+        "set_angles": np.concatenate(angles),
     }
 
 

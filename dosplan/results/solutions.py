@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from dosplan.results.folder import RunFolder
-from dosplan.results.recording import load_recording
+from dosplan.results.recording import Recording
 from dosplan.scenario import ScenarioRef
 from dosplan.scenario.commonroad.solution import Drive, solution_xml
 from dosplan.system.files import file_name, write_bytes
@@ -48,7 +48,7 @@ def write_solutions(folder: RunFolder, refs: Iterable[ScenarioRef], arms: Sequen
 
 
 def _drive(file: Path) -> Drive:
-    recording = load_recording(file)
+    recording = Recording.load(file)
     return Drive(
         start_step=recording.start_step,
         states=recording.states,

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 from dosplan.api import OraclePredictor, Planner, Predictor
 from dosplan.plugins.registry import create_planner, create_predictor, create_traffic
-from dosplan.results.recording import pack_recording
+from dosplan.results.drive import Drive
 from dosplan.results.rows import row_line
 from dosplan.running.config import RunConfig, RunError
 from dosplan.scenario import ScenarioRef, load_scenario
-from dosplan.scoring.score import failed_score, score
+from dosplan.scoring.score import failed_score
 from dosplan.simulation.loop import SimulationConfig, run_episode
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import one_line
@@ -83,9 +83,10 @@ class Session:
             scenario = load_scenario(ref, cached=config.cache)
             loop = SimulationConfig(replan_every=config.replan_every)
             episode = run_episode(scenario, planner, predictor, arm, loop, traffic, raised.append)
-            row = score(scenario, episode)
-            row_line(row)  # What is no number is told here, not when the runner appends the row.
-            recording = pack_recording(scenario, episode)
+            done = Drive.of(scenario, episode)
+            # What is no number is told here, not when the runner appends the row.
+            row_line(done.row)
+            recording = done.recording.pack()
         except (Exception, SystemExit) as error:
             self._end_if_quit(error)
             return failed_result(ref, arm, error)
@@ -93,7 +94,7 @@ class Session:
             self._end_if_quit(failure)
         if episode.end is not EpisodeEnd.PLANNER_FAILURE:
             self._plugins = plugins
-        return EpisodeResult(row, recording, _text(raised[0]) if raised else None)
+        return EpisodeResult(done.row, recording, _text(raised[0]) if raised else None)
 
     def _end_if_quit(self, error: BaseException) -> None:
         """Ends the run where a person has left the debugger, whatever has become of that."""

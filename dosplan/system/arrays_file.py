@@ -1,30 +1,37 @@
 """Dataclasses that hold arrays as the bytes of a file; the types of their fields say how.
 
 ``pack`` and ``unpack`` take a dataclass with whatever dataclasses, tuples and mappings are in it.
-The file is an uncompressed ``.npz`` of two plain arrays, whose checksums tell damage: ``header``,
-JSON in which the place of an array or a polygon stands for it, and ``data``, the bytes of them all.
-Nothing is pickled: a file that was tampered with can give a wrong value but cannot run code.
+The file is an ``.npz`` of plain arrays, whose checksums tell damage: each array of the dataclass
+itself under the name of its field, ``header``, JSON with all the rest, and ``data``, the bytes of
+the arrays and polygons farther inside, whose place stands for them in the header. Nothing is
+pickled: a file that was tampered with can give a wrong value but cannot run code.
 """
 
 from __future__ import annotations
 
 import io
 import json
-from typing import Any, TypeVar
+from collections.abc import Mapping
+from typing import Any, Final, TypeVar, get_args
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import shapely
+
+_HEADER: Final = "header"
+_DATA: Final = "data"
 
 T = TypeVar("T")
 
 
-def pack(value: object) -> bytes:
+def pack(value: object, *, compressed: bool = False) -> bytes:
     """Packs a dataclass.
 
     Args:
         value: The dataclass; in it may be dataclasses, texts, numbers, enumerations, tuples, sets,
             mappings, None, numpy arrays of numbers or truth values, and shapely's geometries.
+        compressed: Whether to spend time on a smaller file.
 
     Returns:
         The file's content.
@@ -43,14 +50,15 @@ def pack(value: object) -> bytes:
             return [begin, data.write(shapely.to_wkb(part))]
         raise TypeError(f"a file cannot hold {type(part).__name__}")
 
-    tree = msgspec.to_builtins(value, enc_hook=place, order="deterministic")
+    fields = vars(value)
+    arrays = {name: part for name, part in fields.items() if isinstance(part, np.ndarray)}
+    rest = {name: part for name, part in fields.items() if name not in arrays}
+    tree = msgspec.to_builtins(rest, enc_hook=place, order="deterministic")
+    arrays[_HEADER] = np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8)
+    arrays[_DATA] = np.frombuffer(data.getbuffer(), dtype=np.uint8)
     file = io.BytesIO()
-    np.savez(
-        file,
-        allow_pickle=False,
-        header=np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8),
-        data=np.frombuffer(data.getbuffer(), dtype=np.uint8),
-    )
+    save = np.savez_compressed if compressed else np.savez
+    save(file, allow_pickle=False, **arrays)
     return file.getvalue()
 
 
@@ -68,14 +76,37 @@ def unpack(content: bytes, kind: type[T]) -> T:
         Exception: Whatever numpy, zipfile, json, msgspec or shapely raise at damaged content.
     """
     with np.load(io.BytesIO(content), allow_pickle=False) as file:
-        tree, data = json.loads(file["header"].tobytes()), file["data"].tobytes()
+        return from_arrays({name: file[name] for name in file.files}, kind)
 
-    def part(hint: Any, place: list[Any]) -> Any:
-        begin, size, *array = place
-        if hint is shapely.Geometry:
-            return shapely.from_wkb(data[begin : begin + size])
-        dtype, *shape = array
-        count = size // np.dtype(dtype).itemsize
-        return np.frombuffer(data, dtype, count, begin).reshape(shape).copy()
 
-    return msgspec.convert(tree, kind, dec_hook=part)
+def from_arrays(arrays: Mapping[str, npt.NDArray[Any]], kind: type[T]) -> T:
+    """Builds a dataclass from the arrays of a file.
+
+    Args:
+        arrays: The arrays by their names. One of fewer digits than its field has, such as single
+            precision, is widened.
+        kind: The dataclass.
+
+    Returns:
+        The value.
+
+    Raises:
+        Exception: Whatever numpy, json, msgspec or shapely raise at damaged content.
+    """
+    tree, data = json.loads(arrays[_HEADER].tobytes()), arrays[_DATA].tobytes()
+
+    def part(hint: Any, place: Any) -> Any:
+        if isinstance(place, np.ndarray):
+            array = place
+        else:
+            begin, size, *about = place
+            if hint is shapely.Geometry:
+                return shapely.from_wkb(data[begin : begin + size])
+            dtype, *shape = about
+            count = size // np.dtype(dtype).itemsize
+            array = np.frombuffer(data, dtype, count, begin).reshape(shape).copy()
+        (wanted,) = get_args(get_args(hint)[1])
+        return array.astype(wanted, casting="safe", copy=False)
+
+    members = {name: array for name, array in arrays.items() if name not in (_HEADER, _DATA)}
+    return msgspec.convert(tree | members, kind, dec_hook=part)

@@ -19,7 +19,7 @@ from dosplan.cli.main import main
 from dosplan.report.progress import show_progress
 from dosplan.report.tables import ERRORS_SHOWN, error_lines
 from dosplan.results.folder import RunFolder
-from dosplan.results.recording import load_recording
+from dosplan.results.recording import Recording
 from dosplan.results.rows import read_rows
 from dosplan.running.run import RunConfig
 from dosplan.scoring.score import failed_score
@@ -195,7 +195,7 @@ def test_sets_are_driven_around_any_predictor(tmp_path: Path) -> None:
     rows = read_rows(run.rows)
     assert len(rows) == 4
     for row in (row for row in rows if row.arm is Arm.WITH_DOS):
-        recording = load_recording(run.recording(row.scenario, row.arm))
+        recording = Recording.load(run.recording(row.scenario, row.arm))
         # The car ahead is at 60 m and drives on at 5 m/s; its sets have an extent.
         ahead = 60.0 + 0.5 * recording.set_offsets
         np.testing.assert_allclose(recording.set_centres[0, :, 0], ahead, atol=0.01)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +12,14 @@ import shapely
 
 from dosplan.api import Planner, Predictor, PredictorSettings
 from dosplan.cli.main import BAD_INPUT, OK, main
-from dosplan.explain import Explanation, explain_episode
+from dosplan.explain import Explanation, explain_drive
 from dosplan.explain.collision import CollisionFacts, Course
 from dosplan.explain.goal import GoalFacts
 from dosplan.explain.planning import PlanningFacts
 from dosplan.explain.road import RoadFacts
+from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
-from dosplan.results.recording import load_recording, pack_recording
+from dosplan.results.recording import Recording
 from dosplan.results.rows import read_rows, row_line
 from dosplan.scenario.synthetic import (
     CAR_SIZE,
@@ -53,6 +53,7 @@ from dosplan.types import (
 from dosplan.vehicle import VehicleParameters
 from tests.support import faulty
 from tests.support.factories import arc_route
+from tests.support.old_files import save_as_version_0_4
 from tests.support.runs import run_leaky, write_followed
 from tests.support.traffic import ShyTraffic, braking_before, followed
 
@@ -100,9 +101,12 @@ def explained(
 ) -> Explanation:
     """Drives, scores, records and explains."""
     episode = run_episode(scenario, planner or Coast(), predictor or Discs(1.0), arm)
-    path = tmp_path / "episode.npz"
-    path.write_bytes(pack_recording(scenario, episode))
-    return explain_episode(scenario, score(scenario, episode), load_recording(path))
+    drive = Drive.of(scenario, episode)
+    drive.recording.save(tmp_path / "episode.npz")
+    back = Recording.load(tmp_path / "episode.npz")
+    found = explain_drive(Drive(drive.row, back, scenario))
+    assert found == explain_drive(drive)  # From a folder as from memory.
+    return found
 
 
 def braking_car(steps: int = 61) -> Tracks:
@@ -361,13 +365,11 @@ def test_a_success_tells_its_margins(tmp_path: Path) -> None:
     assert (left.reached, left.spare) == pytest.approx((1.9, 3.1))  # x = 20.4 m at step 19.
 
 
-def test_who_reacted_is_explained_as_it_was_driven(tmp_path: Path) -> None:
-    scenario, path = followed(), tmp_path / "e.npz"
+def test_who_reacted_is_explained_as_it_was_driven() -> None:
+    scenario = followed()
 
     def explain_among(traffic: Traffic) -> Explanation:
-        episode = braking_before(traffic)
-        path.write_bytes(pack_recording(scenario, episode))
-        return explain_episode(scenario, score(scenario, episode), load_recording(path))
+        return explain_drive(Drive.of(scenario, braking_before(traffic)))
 
     assert collision_of(explain_among(Replay())).road_user == 100
     found = explain_among(ShyTraffic())
@@ -478,8 +480,8 @@ def test_what_the_solver_said_survives_the_episode_file(tmp_path: Path) -> None:
     scenario = straight_scenario(final_step=4)
     episode = run_episode(scenario, Coast(reports), Discs(1.0), Arm.WITH_DOS)
     path = tmp_path / "e.npz"
-    path.write_bytes(pack_recording(scenario, episode))
-    back = load_recording(path)
+    Recording.of(scenario, episode).save(path)
+    back = Recording.load(path)
     assert back.active_ids == ((4, 2), (), (9,), ())
     assert back.road_slack.tolist() == [0.5, 0.0, 0.0, 0.0]
 
@@ -488,18 +490,11 @@ def test_episode_files_of_earlier_versions_are_read(tmp_path: Path) -> None:
     scenario = straight_scenario(final_step=10)
     episode = run_episode(scenario, Coast(), Discs(1.0), Arm.WITH_DOS)
     path = tmp_path / "e.npz"
-    path.write_bytes(pack_recording(scenario, episode))
-    with np.load(path) as file:
-        kept: dict[str, Any] = {
-            name: file[name]
-            for name in file.files
-            if name not in ("road_slack", "active_ids", "active_counts")
-        }
-    np.savez(path, **kept)
-    back = load_recording(path)
+    save_as_version_0_4(path, Recording.of(scenario, episode), first=True)
+    back = Recording.load(path)
     assert np.isnan(back.road_slack).all()
     assert back.active_ids == ((),) * 10
-    found = explain_episode(scenario, score(scenario, episode), back)
+    found = explain_drive(Drive(score(scenario, episode), back, scenario))
     assert planning_of(found).max_road_slack is None
     assert "road slack was not recorded" in "\n".join(found.lines())
 
@@ -507,13 +502,11 @@ def test_episode_files_of_earlier_versions_are_read(tmp_path: Path) -> None:
 def test_another_scenario_is_refused(tmp_path: Path) -> None:
     scenario = straight_scenario(braking_car(), velocity=15.0)
     episode = run_episode(scenario, Coast(), Discs(1.0), Arm.WITH_DOS)
-    path = tmp_path / "e.npz"
-    path.write_bytes(pack_recording(scenario, episode))
-    row, recording = score(scenario, episode), load_recording(path)
+    row, recording = score(scenario, episode), Recording.of(scenario, episode)
     with pytest.raises(FileError, match="its ego starts elsewhere"):
-        explain_episode(straight_scenario(velocity=14.0), row, recording)
+        Drive(row, recording, straight_scenario(velocity=14.0))
     with pytest.raises(FileError, match="does not touch road user 100 at step 25"):
-        explain_episode(straight_scenario(velocity=15.0), row, recording)
+        explain_drive(Drive(row, recording, straight_scenario(velocity=15.0)))
 
 
 @pytest.fixture(scope="module")

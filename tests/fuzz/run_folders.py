@@ -20,7 +20,7 @@ from dosplan.cli.command import BAD_INPUT, OK
 from dosplan.explain import explain
 from dosplan.report.html.write import write_report
 from dosplan.results.folder import RunFolder
-from dosplan.results.recording import load_cycle_ms, load_recording
+from dosplan.results.recording import Recording, load_cycle_ms
 from dosplan.results.rows import read_run
 from dosplan.running import run as runner
 from dosplan.running.run import RunConfig
@@ -83,7 +83,7 @@ def damaged_recordings(case: Case) -> None:
         written = io.BytesIO()
         np.savez_compressed(written, allow_pickle=True, **arrays)
         path.write_bytes(written.getvalue())
-    for load in (load_recording, load_cycle_ms):
+    for load in (Recording.load, load_cycle_ms):
         with one_line_at_most(path.name):
             load(path)
     _use(case, folder, config)

@@ -62,7 +62,7 @@ def test_an_episode_is_that_of_a_run(scenes: Path, results: Results) -> None:
     for arm in Arm:
         driven = dosplan.run_episode(scenario, CoastPlanner(), StillPredictor(), arm.value)
         (row,) = (row for row in results.rows if (row.scenario, row.arm) == (ref.id, arm))
-        untimed_row = replace(driven.score, cycle_ms_p50=None, cycle_ms_p99=None)
+        untimed_row = replace(driven.row, cycle_ms_p50=None, cycle_ms_p99=None)
         assert untimed_row == replace(row, cycle_ms_p50=None, cycle_ms_p99=None)
         recording = results.recording(ref.id, arm.value)
         np.testing.assert_array_equal(recording.states, driven.episode.states)
@@ -71,7 +71,7 @@ def test_an_episode_is_that_of_a_run(scenes: Path, results: Results) -> None:
 def test_plug_ins_of_an_episode_may_be_names(scenes: Path) -> None:
     scenario = dosplan.load_scenario(dosplan.find_scenarios(scenes)[0])
     named = dosplan.run_episode(scenario, "cruise", "none", replan_every=5)
-    assert len(named.episode.plans) == -(-named.score.steps // 5)
+    assert len(named.episode.plans) == -(-named.row.steps // 5)
     with pytest.raises(RegistryError, match="did you mean 'cruise'"):
         dosplan.run_episode(scenario, "cruize", "none")
     with pytest.raises(ValueError, match="sideways"):

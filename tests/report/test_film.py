@@ -17,7 +17,6 @@ from shapely.geometry import Point, Polygon, box
 
 from dosplan.api import Planner, Predictor
 from dosplan.cli.main import BAD_INPUT, FAILED, OK, main
-from dosplan.explain.drive import Drive
 from dosplan.geometry import rectangle_corners
 from dosplan.report.film.drives import Take
 from dosplan.report.film.files import write_gif
@@ -26,11 +25,10 @@ from dosplan.report.film.framing import frame_scene
 from dosplan.report.film.layers import SET_COLOURS
 from dosplan.report.film.panel import USER_COLOURS
 from dosplan.report.film.scene import ARM_COLOURS
+from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
-from dosplan.results.recording import load_recording, pack_recording
 from dosplan.scenario.synthetic import growing_sets, steady_tracks, straight_scenario
-from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
 from dosplan.system.files import FileError
 from dosplan.types import (
@@ -76,22 +74,16 @@ class Growing(Predictor):
         return growing_sets(observation, self.horizon)
 
 
-def driven(folder: Path, scenario: Scenario, arm: Arm = Arm.WITH_DOS) -> Take:
+def driven(scenario: Scenario, arm: Arm = Arm.WITH_DOS) -> Take:
     """Drives, scores and records."""
-    episode = run_episode(scenario, Coast(), Growing(), arm)
-    path = folder / f"{arm}.npz"
-    path.write_bytes(pack_recording(scenario, episode))
-    row = score(scenario, episode)
-    drive = Drive(scenario, row, load_recording(path))
-    return Take(ARM_TITLES[arm], ARM_COLOURS[arm], scenario, row, drive)
+    drive = Drive.of(scenario, run_episode(scenario, Coast(), Growing(), arm))
+    return Take(ARM_TITLES[arm], ARM_COLOURS[arm], scenario, drive.row, drive)
 
 
-def test_a_film_shows_road_users_as_they_were_driven(tmp_path: Path) -> None:
+def test_a_film_shows_road_users_as_they_were_driven() -> None:
     scenario, episode = followed(), braking_before(ShyTraffic())
-    path = tmp_path / "e.npz"
-    path.write_bytes(pack_recording(scenario, episode))
-    row = score(scenario, episode)
-    take = Take("", "#000000", scenario, row, Drive(scenario, row, load_recording(path)))
+    drive = Drive.of(scenario, episode)
+    take = Take("", "#000000", scenario, drive.row, drive)
     assert take.tracks.ids.tolist() == [100, 900]
     np.testing.assert_array_equal(take.tracks.states, episode.tracks.states)
     assert take.verdict.startswith("success")
@@ -129,7 +121,7 @@ def beside(take: Take, index: int) -> tuple[float, float]:
 
 
 def test_everybody_has_its_colour_where_the_recording_says(tmp_path: Path) -> None:
-    takes = [driven(tmp_path, following(gap=20.0), arm) for arm in ARMS_SIDE_BY_SIDE]
+    takes = [driven(following(gap=20.0), arm) for arm in ARMS_SIDE_BY_SIDE]
     film = Film(takes, "title", scale=2.0)
     for step in (0, 7, 20):
         picture = film.picture(step)
@@ -146,7 +138,7 @@ def test_everybody_has_its_colour_where_the_recording_says(tmp_path: Path) -> No
 
 def test_sets_are_translucent_and_have_the_colour_of_their_step(tmp_path: Path) -> None:
     scene = following(gap=30.0, final_step=60)
-    takes = [driven(tmp_path, scene, arm) for arm in ARMS_SIDE_BY_SIDE]
+    takes = [driven(scene, arm) for arm in ARMS_SIDE_BY_SIDE]
     film = Film(takes, "title", scale=2.0)
     picture = film.picture(0)
     # The car is at 30 m; 2.5 s ahead, the fifth of eight that are recorded, at 50 m. The set's
@@ -161,7 +153,7 @@ def test_sets_are_translucent_and_have_the_colour_of_their_step(tmp_path: Path) 
 
 
 def test_a_gif_has_a_picture_for_each_step_and_plays_in_real_time(tmp_path: Path) -> None:
-    takes = [driven(tmp_path, following(), arm) for arm in ARMS_SIDE_BY_SIDE]
+    takes = [driven(following(), arm) for arm in ARMS_SIDE_BY_SIDE]
     write_gif(takes, "title", tmp_path / "film.gif")
     film = Film(takes, "title")
     with Image.open(tmp_path / "film.gif") as gif:
@@ -182,8 +174,8 @@ def test_a_gif_has_a_picture_for_each_step_and_plays_in_real_time(tmp_path: Path
 def test_a_drive_that_is_over_stands_still_beside_the_other(tmp_path: Path) -> None:
     # The ego's front is 8.3 m from the car's back and 2 m/s faster: contact after some 4.2 s.
     ends = following(gap=14.3, final_step=60)
-    goes_on = driven(tmp_path, following(gap=40.0, final_step=60))
-    struck = driven(tmp_path, ends, Arm.WITHOUT_DOS)
+    goes_on = driven(following(gap=40.0, final_step=60))
+    struck = driven(ends, Arm.WITHOUT_DOS)
     assert struck.row is not None
     assert struck.row.outcome is Outcome.COLLISION
     assert struck.end < goes_on.end
@@ -198,7 +190,7 @@ def test_a_drive_that_is_over_stands_still_beside_the_other(tmp_path: Path) -> N
 
 
 def test_the_mark_of_a_collision_is_at_the_contact(tmp_path: Path) -> None:
-    take = driven(tmp_path, following(gap=14.3, final_step=60))
+    take = driven(following(gap=14.3, final_step=60))
     step = take.moment
     assert take.verdict == f"collision with car 100, {0.1 * step:.1f} s"
     tracks = take.scenario.tracks
@@ -211,7 +203,7 @@ def test_the_mark_of_a_collision_is_at_the_contact(tmp_path: Path) -> None:
 
 
 def test_a_row_that_is_not_of_the_drive_is_refused(tmp_path: Path) -> None:
-    take = driven(tmp_path, following(gap=14.3, final_step=60))
+    take = driven(following(gap=14.3, final_step=60))
     assert take.drive is not None
     row = take.drive.row
     assert row.collision_step is not None
@@ -227,7 +219,7 @@ def test_a_row_that_is_not_of_the_drive_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_long_drive_is_followed(tmp_path: Path) -> None:
-    take = driven(tmp_path, following(gap=300.0, final_step=100, velocity=30.0))
+    take = driven(following(gap=300.0, final_step=100, velocity=30.0))
     film = Film([take], "title", scale=2.0)
     views = []
     for step in (0, 50, 100):

@@ -23,19 +23,19 @@ from dosplan.report.html import page
 from dosplan.report.html.cases import Case, change_of
 from dosplan.report.html.codec import METRE, differences, pack, polyline
 from dosplan.report.html.coverage import foretold, sets_met, total
-from dosplan.report.html.episode import Drive, encode_episode
+from dosplan.report.html.player import encode_episode
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.html.scenarios import families
 from dosplan.report.html.write import write_report
+from dosplan.results.drive import Drive
 from dosplan.results.markdown import ARMS_SIDE_BY_SIDE
-from dosplan.results.recording import Recording, load_recording, pack_recording
+from dosplan.results.recording import Recording
 from dosplan.results.rows import row_line
 from dosplan.scenario.synthetic import steady_tracks
-from dosplan.scoring.score import failed_score, score
+from dosplan.scoring.score import failed_score
 from dosplan.simulation.traffic import Replay, Traffic
 from dosplan.system.files import FileError, write_json
 from dosplan.types import Arm, EpisodeEnd, FloatArray, Outcome, Score
-from dosplan.vehicle import VehicleParameters
 from tests.support import faulty
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 from tests.support.traffic import ShyTraffic, braking_before, followed
@@ -224,23 +224,18 @@ def test_changes_have_their_words() -> None:
 def test_an_episode_without_its_scenario_is_the_drive_alone() -> None:
     recording = _recording(Arm.WITH_DOS, np.zeros((2, 2)), np.ones((2, 2)), 0.0)
     row = _row("s", Arm.WITH_DOS, Outcome.GOAL_MISSED)
-    payload = encode_episode(None, [None, Drive(recording, row, VehicleParameters(), None)])
+    payload = encode_episode(None, [None, Drive(row, recording)])
     assert "road" not in payload
     assert payload["sides"][0] is None
     assert len(payload["sides"][1]["x"]) == row.steps + 1
     assert pack(payload)
 
 
-def test_sides_whose_road_users_reacted_have_road_users_of_their_own(tmp_path: Path) -> None:
+def test_sides_whose_road_users_reacted_have_road_users_of_their_own() -> None:
     scenario = followed()
 
     def drive(traffic: Traffic) -> Drive:
-        episode = braking_before(traffic)
-        path = tmp_path / "e.npz"
-        path.write_bytes(pack_recording(scenario, episode))
-        recording = load_recording(path)
-        tracks = recording.tracks_in(scenario)
-        return Drive(recording, score(scenario, episode), scenario.task.vehicle, tracks)
+        return Drive.of(scenario, braking_before(traffic))
 
     def last_x(user: dict[str, Any]) -> float:
         return float(np.cumsum(np.cumsum(user["x"]))[-1] * METRE)
@@ -256,11 +251,12 @@ def test_sides_whose_road_users_reacted_have_road_users_of_their_own(tmp_path: P
     ]
     assert [side["touched"] for side in payload["sides"]] == [100, None]
     for user, drive_ in zip(payload["users"], (replayed, shy), strict=False):
-        assert drive_.tracks is not None
-        step, origin = user["to"], np.rint(replayed.centres[0])[0]
+        step, origin = user["to"], np.rint(replayed.ego[0, 0])
         wanted = drive_.tracks.states[0, step, 0] - origin
         assert last_x(user) == pytest.approx(wanted, abs=METRE)
-    assert encode_episode(None, [None, shy])["users"][0]["id"] == 100  # They are in its file.
+    assert (
+        encode_episode(None, [None, Drive(shy.row, shy.recording)])["users"][0]["id"] == 100
+    )  # They are in its file.
     assert pack(payload)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,7 @@ import pytest
 
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, RunSettings, write_manifest
-from dosplan.results.recording import (
-    KEPT_EVERY,
-    NEARBY_METRES,
-    load_cycle_ms,
-    load_recording,
-    pack_recording,
-)
+from dosplan.results.recording import KEPT_EVERY, NEARBY_METRES, Recording, load_cycle_ms
 from dosplan.results.rows import append_row, read_rows, read_run, row_line, write_rows
 from dosplan.results.summary import pooled_cycle_ms, summarise
 from dosplan.scenario.synthetic import straight_scenario
@@ -29,7 +23,6 @@ from dosplan.system.files import (
     FileError,
     atomic_file,
     read_json,
-    write_bytes,
     write_json,
     write_text,
 )
@@ -47,6 +40,7 @@ from dosplan.types import (
     SolveReport,
     SolveStatus,
 )
+from tests.support.old_files import save_as_version_0_4
 from tests.support.traffic import ShyTraffic, braking_before, followed
 
 SCENARIO = straight_scenario()
@@ -236,7 +230,7 @@ def test_cycle_times_are_pooled_over_cycles_not_over_episodes(tmp_path: Path) ->
     long, short = _episode(cycles=6), replace(_episode(cycles=2), scenario_id="short")
     for episode in (long, short):
         path = folder.recording(episode.scenario_id, episode.arm)
-        write_bytes(path, pack_recording(SCENARIO, episode))
+        Recording.of(SCENARIO, episode).save(path)
     rows = [
         _row(Outcome.SUCCESS, scenario=long.scenario_id, cycle_ms_p50=1.0),
         _row(Outcome.SUCCESS, scenario="short", cycle_ms_p50=1.0),
@@ -253,9 +247,9 @@ def test_cycle_times_are_pooled_over_cycles_not_over_episodes(tmp_path: Path) ->
 def test_a_recording_gives_the_episode_back(tmp_path: Path) -> None:
     episode = _episode()
     path = RunFolder(tmp_path).recording(episode.scenario_id, episode.arm)
-    write_bytes(path, pack_recording(SCENARIO, episode))
+    Recording.of(SCENARIO, episode).save(path)
     assert path.name == "ZAM_Test-1_1_T-1@7.with_dos.npz"
-    back = load_recording(path)
+    back = Recording.load(path)
 
     assert (back.scenario_id, back.arm, back.end) == (episode.scenario_id, episode.arm, episode.end)
     assert (back.start_step, back.error) == (3, episode.error)
@@ -283,15 +277,43 @@ def test_a_recording_gives_the_episode_back(tmp_path: Path) -> None:
     assert np.abs(back.set_angles - 0.3).max() <= 1.0 / 128.0
 
 
+def _assert_same(one: Recording, other: Recording) -> None:
+    for field in fields(Recording):
+        mine, theirs = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(mine, np.ndarray):
+            np.testing.assert_array_equal(mine, theirs, field.name, strict=True)
+        else:
+            assert mine == theirs, field.name
+
+
+def test_a_recording_from_memory_is_that_of_the_file(tmp_path: Path) -> None:
+    recording = Recording.of(SCENARIO, _episode())
+    recording.save(tmp_path / "e.npz")
+    _assert_same(Recording.load(tmp_path / "e.npz"), recording)
+    Recording.load(tmp_path / "e.npz").save(tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "e.npz").read_bytes()
+
+
+def test_a_recording_of_version_0_4_opens(tmp_path: Path) -> None:
+    recording = Recording.of(SCENARIO, _episode())
+    recording = replace(recording, active_ids=((), (3, 4), (), (5,)), tracks=None)
+    save_as_version_0_4(tmp_path / "e.npz", recording)
+    back = Recording.load(tmp_path / "e.npz")
+    assert not back.exact
+    for name in ("predict_seconds", "plan_seconds"):  # In single precision, and in ms.
+        np.testing.assert_allclose(getattr(back, name), getattr(recording, name), rtol=1e-7)
+    exact = ("exact", "predict_seconds", "plan_seconds")
+    _assert_same(replace(back, **{name: getattr(recording, name) for name in exact}), recording)
+    np.testing.assert_array_equal(load_cycle_ms(tmp_path / "e.npz"), back.cycle_ms)
+
+
 @pytest.mark.parametrize(("distance", "kept"), [(-0.1, True), (0.1, False)])
 def test_sets_far_from_the_ego_are_left_out(tmp_path: Path, distance: float, kept: bool) -> None:
     episode = _episode(cycles=1, users=1)
     away = np.array([[0.0, NEARBY_METRES + distance]])
     ahead = _sets(episode.states[0, :2] + away, 12)
-    write_bytes(
-        tmp_path / "e.npz", pack_recording(SCENARIO, replace(episode, occupancies=(ahead,)))
-    )
-    assert (len(load_recording(tmp_path / "e.npz").set_ids) == 1) is kept
+    Recording.of(SCENARIO, replace(episode, occupancies=(ahead,))).save(tmp_path / "e.npz")
+    assert (len(Recording.load(tmp_path / "e.npz").set_ids) == 1) is kept
 
 
 def test_sets_that_are_not_valid_come_back_as_nan(tmp_path: Path) -> None:
@@ -301,10 +323,8 @@ def test_sets_that_are_not_valid_come_back_as_nan(tmp_path: Path) -> None:
     valid[0, 7:] = False  # Seen at step 5, gone at step 10.
     valid[1] = False  # Never there: left out.
     hidden = replace(sets, valid=valid)
-    write_bytes(
-        tmp_path / "e.npz", pack_recording(SCENARIO, replace(episode, occupancies=(hidden,)))
-    )
-    back = load_recording(tmp_path / "e.npz")
+    Recording.of(SCENARIO, replace(episode, occupancies=(hidden,))).save(tmp_path / "e.npz")
+    back = Recording.load(tmp_path / "e.npz")
     assert back.set_ids.tolist() == [10]
     assert np.isfinite(back.set_centres[0, 0]).all()
     assert np.isnan(back.set_centres[0, 1]).all()
@@ -316,8 +336,8 @@ def test_road_users_that_reacted_are_in_the_file_and_recorded_ones_are_not(tmp_p
     scenario, episode = followed(), braking_before(ShyTraffic())
     triangle = np.array([[2.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
     odd = replace(episode.tracks, outlines=(None, triangle))
-    write_bytes(path, pack_recording(scenario, replace(episode, tracks=odd)))
-    back = load_recording(path)
+    Recording.of(scenario, replace(episode, tracks=odd)).save(path)
+    back = Recording.load(path)
     assert back.traffic == "shy-v1"
     tracks = back.tracks_in(scenario)
     for name in ("ids", "size", "states", "valid"):
@@ -326,12 +346,14 @@ def test_road_users_that_reacted_are_in_the_file_and_recorded_ones_are_not(tmp_p
     assert tracks.outlines[0] is None
     np.testing.assert_array_equal(tracks.outlines[1], triangle)
 
-    write_bytes(path, pack_recording(scenario, braking_before(Replay())))
-    back = load_recording(path)
+    long = path.stat().st_size
+    Recording.of(scenario, braking_before(Replay())).save(path)
+    back = Recording.load(path)
     assert (back.traffic, back.tracks) == ("replay", None)
     assert back.tracks_in(scenario) is scenario.tracks
     with np.load(path) as file:
-        assert not [name for name in file.files if name.startswith("user_")]
+        assert not file["data"].size
+    assert path.stat().st_size < long
 
 
 def test_times_and_slacks_are_kept_exactly_and_those_of_older_files_are_read(
@@ -345,26 +367,22 @@ def test_times_and_slacks_are_kept_exactly_and_those_of_older_files_are_read(
         plans=tuple(replace(plan, report=report) for plan in episode.plans),
         predict_seconds=np.full(2, third),
     )
-    write_bytes(path, pack_recording(SCENARIO, episode))
-    back = load_recording(path)
+    Recording.of(SCENARIO, episode).save(path)
+    back = Recording.load(path)
     assert back.exact
     assert back.reports == (report, report)
     np.testing.assert_array_equal(back.predict_seconds, episode.predict_seconds)
     np.testing.assert_array_equal(load_cycle_ms(path), back.cycle_ms)
-    with np.load(path) as file:
-        kept = {name: file[name] for name in file.files if name != "traffic"}
-    for part in ("predict", "plan"):
-        kept[f"{part}_ms"] = (1e3 * kept.pop(f"{part}_seconds")).astype(np.float32)
-    np.savez(path, **kept)
-    old = load_recording(path)
+    save_as_version_0_4(path, back)
+    old = Recording.load(path)
     assert (old.exact, old.traffic) == (False, "replay")
     np.testing.assert_allclose(old.predict_seconds, third, rtol=1e-7)
     np.testing.assert_array_equal(load_cycle_ms(path), old.cycle_ms)
 
 
 def test_an_episode_without_a_cycle_is_kept(tmp_path: Path) -> None:
-    write_bytes(tmp_path / "e.npz", pack_recording(SCENARIO, _episode(cycles=0)))
-    back = load_recording(tmp_path / "e.npz")
+    Recording.of(SCENARIO, _episode(cycles=0)).save(tmp_path / "e.npz")
+    back = Recording.load(tmp_path / "e.npz")
     assert (len(back.states), len(back.inputs), len(back.cycle_ms), back.status) == (1, 0, 0, ())
 
 
@@ -372,7 +390,7 @@ def test_a_recording_of_a_busy_scene_is_small(tmp_path: Path) -> None:
     # 10 s of planning at every step among 30 road users near by, all predicted anew each time.
     episode = _episode(cycles=100, users=30, horizon=120, every=1)
     path = tmp_path / "e.npz"
-    write_bytes(path, pack_recording(SCENARIO, episode))
+    Recording.of(SCENARIO, episode).save(path)
     plain = sum(o.centre.nbytes + o.semi_axes.nbytes + o.angle.nbytes for o in episode.occupancies)
     assert path.stat().st_size < plain / 20
 
@@ -381,13 +399,13 @@ def test_a_recording_of_a_busy_scene_is_small(tmp_path: Path) -> None:
 def test_a_broken_recording_is_named(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "e.npz").write_bytes(content)
     with pytest.raises(FileError, match=r"e\.npz is not an episode file"):
-        load_recording(tmp_path / "e.npz")
+        Recording.load(tmp_path / "e.npz")
 
 
 def test_a_pickle_in_a_recording_is_never_opened(tmp_path: Path) -> None:
     np.savez(tmp_path / "e.npz", states=np.array([{"code": 1}], dtype=object))
     with pytest.raises(FileError, match="is not an episode file"):
-        load_recording(tmp_path / "e.npz")
+        Recording.load(tmp_path / "e.npz")
 
 
 @pytest.mark.parametrize("scenario", ["../../up", "a/b", "..", "a b:c"])
@@ -444,7 +462,7 @@ def test_a_long_id_has_a_file_of_its_own(tmp_path: Path) -> None:
     paths = [folder.recording(name, Arm.WITH_DOS) for name in (long, long + "x", "ä" * 33)]
     assert len(set(paths)) == 3
     for path in paths:
-        write_bytes(path, pack_recording(SCENARIO, _episode(cycles=1)))
+        Recording.of(SCENARIO, _episode(cycles=1)).save(path)
     assert "-" not in paths[2].name  # 198 characters are short enough.
 
 

@@ -13,7 +13,7 @@ from commonroad.common.solution import CommonRoadSolutionReader
 
 from dosplan.cli.main import main
 from dosplan.results.folder import RunFolder
-from dosplan.results.recording import load_recording
+from dosplan.results.recording import Recording
 from dosplan.running.run import RunError
 from dosplan.scenario import ScenarioError
 from dosplan.scenario.commonroad.solution import Drive, solution_xml
@@ -142,7 +142,7 @@ def test_a_run_writes_one_solution_per_file_and_arm(tmp_path: Path) -> None:
         assert benchmark_id == f"[KS2,KS2]:[WX1,WX1]:{NAME}:2020a"
         assert list(trajectories) == [5, 3]
         for problem, (_, states) in trajectories.items():
-            recording = load_recording(folder.recording(f"{NAME}@{problem}", arm))
+            recording = Recording.load(folder.recording(f"{NAME}@{problem}", arm))
             np.testing.assert_array_equal(states, as_written(recording.states))
         root = ElementTree.fromstring(found[f"{single}.{arm}.xml"].read_bytes())
         assert root.get("benchmark_id") == f"KS2:WX1:{single}:2020a"

@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 
 from dosplan.plugins.registry import RegistryError
+from dosplan.results import drive
 from dosplan.results.folder import RunFolder
-from dosplan.results.recording import KEPT_EVERY, load_recording
+from dosplan.results.recording import KEPT_EVERY, Recording
 from dosplan.results.rows import read_rows
-from dosplan.running import job
 from dosplan.running import run as runner
 from dosplan.running.executor import Results, Task
 from dosplan.running.job import EpisodeResult, Session
@@ -106,7 +106,7 @@ def test_the_seed_reaches_the_planner(scenes: Path, tmp_path: Path) -> None:
 
 def test_the_arms_share_everything_but_the_sets(finished: RunFolder) -> None:
     with_dos, without_dos = (
-        load_recording(finished.recording("ZAM_Test-0_1_T-1", arm)) for arm in Arm
+        Recording.load(finished.recording("ZAM_Test-0_1_T-1", arm)) for arm in Arm
     )
     assert (with_dos.set_semi_axes == 1.0).all()
     assert (without_dos.set_semi_axes == 0.0).all()
@@ -152,7 +152,7 @@ def test_options_reach_the_plugins_and_run_json(scenes: Path, tmp_path: Path) ->
     (row,) = read_rows(folder.rows)
     # From 10 m/s it goes on at 2 m/s^2 for less than a second: 10 to 12 m/s, 10 to 11 on average.
     assert 10.1 < row.velocity < 11.0
-    recording = load_recording(folder.recording(row.scenario, row.arm))
+    recording = Recording.load(folder.recording(row.scenario, row.arm))
     assert recording.set_centres.shape[1] == 20 // KEPT_EVERY
     manifest, summary = read_json(folder.manifest), read_json(folder.summary)
     assert options.items() <= manifest["config"].items()
@@ -282,7 +282,7 @@ def test_the_traffic_of_a_run_is_in_its_files_and_in_every_row(
     assert read_json(folder.summary)["run"]["traffic"] == "shy-v1"
     assert "traffic shy-v1, seed 0, traffic.near=9" in folder.summary_text.read_text()
     assert {row.traffic for row in read_rows(folder.rows)} == {"shy-v1"}
-    recording = load_recording(folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS))
+    recording = Recording.load(folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS))
     assert recording.tracks is not None
     assert 900 in recording.tracks.ids
 
@@ -400,7 +400,7 @@ def test_an_episode_is_driven_scored_and_recorded(scenes: Path, tmp_path: Path) 
     assert row.steps == pytest.approx(8, abs=1)
     assert not any(tmp_path.iterdir())  # The runner alone writes.
     (tmp_path / "episode.npz").write_bytes(result.recording or b"")
-    recording = load_recording(tmp_path / "episode.npz")
+    recording = Recording.load(tmp_path / "episode.npz")
     assert len(recording.inputs) == row.steps
     assert recording.set_ids.tolist() == [7] * row.steps
 
@@ -431,7 +431,7 @@ def test_a_row_that_cannot_be_written_becomes_one_that_can(
     scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bad = replace(failed_score("s", Arm.WITH_DOS, ""), velocity=float("nan"))
-    monkeypatch.setattr(job, "score", lambda *_: bad)
+    monkeypatch.setattr(drive, "score", lambda *_: bad)
     row = Session(_config(tmp_path, scenes)).drive(find_scenarios(scenes)[0], Arm.WITH_DOS).row
     assert "ValueError: Out of range float values" in str(row.error)
 
@@ -442,7 +442,7 @@ def test_an_episode_that_does_not_fit_its_file_is_a_row(
     def save(*_: object) -> None:
         raise TypeError("a report of words")
 
-    monkeypatch.setattr(job, "pack_recording", save)
+    monkeypatch.setattr(Recording, "pack", save)
     row = Session(_config(tmp_path, scenes)).drive(find_scenarios(scenes)[0], Arm.WITH_DOS).row
     assert (row.outcome, row.error) == (
         Outcome.PLANNER_FAILURE,

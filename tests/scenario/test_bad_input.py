@@ -23,7 +23,7 @@ from dosplan.evaluation.methods import MethodError, read_methods
 from dosplan.plugins.registry import RegistryError, find_planner
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunSettings, read_manifest
-from dosplan.results.recording import load_cycle_ms, load_recording
+from dosplan.results.recording import Recording, load_cycle_ms
 from dosplan.results.rows import read_rows, row_line
 from dosplan.scenario import ScenarioError, load_scenario
 from dosplan.scenario.commonroad.obstacles import MAX_SIZE, MAX_STATES
@@ -261,7 +261,7 @@ def test_damage_within_a_recording_is_one_line(recording: bytes, tmp_path: Path)
     start = header + 30 + sum(struct.unpack_from("<HH", data, header + 26))
     data[start : start + 8] = b"\xff" * 8  # No beginning of a compressed stream: zlib.error.
     path.write_bytes(data)
-    _not_an_episode(path, load_recording)
+    _not_an_episode(path, Recording.load)
     _not_an_episode(path, load_cycle_ms)
 
 
@@ -269,7 +269,7 @@ def test_an_array_in_place_of_a_recording_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "a.npz"
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
-    _not_an_episode(path, load_recording)
+    _not_an_episode(path, Recording.load)
     _not_an_episode(path, load_cycle_ms)
 
 
@@ -281,7 +281,8 @@ def test_an_array_in_place_of_a_recording_is_one_line(tmp_path: Path) -> None:
         ("inputs", np.zeros((3, 2))),
         ("predict_seconds", np.array([np.nan])),
         ("cycle_steps", np.array([0, 0])),
-        ("active_counts", np.array([0.5])),
+        ("header", np.frombuffer(b"{}", dtype=np.uint8)),
+        ("slack", np.array(["much"])),
         ("set_cycle", np.array([10**9])),
         ("set_centres", np.zeros(2)),
         ("plan_centres", np.zeros((1, 1))),
@@ -293,11 +294,11 @@ def test_a_recording_whose_arrays_do_not_fit_is_one_line(
 ) -> None:
     path = tmp_path / "a.npz"
     path.write_bytes(recording)
-    load_recording(path)
+    Recording.load(path)
     with np.load(path) as file:
         arrays = dict(file)
     np.savez(path, allow_pickle=False, **{**arrays, name: value})
-    _not_an_episode(path, load_recording)
+    _not_an_episode(path, Recording.load)
 
 
 # Plug-ins.

@@ -15,6 +15,8 @@ import shapely
 
 from dosplan.system.arrays_file import pack, unpack
 
+ONE = np.ones(1, np.float32)
+
 
 class Colour(StrEnum):
     RED = "red"
@@ -67,14 +69,30 @@ def test_a_dataclass_without_arrays_is_kept_too() -> None:
 
 
 def test_objects_are_not_packed() -> None:
+    part = Part(np.array([Path()], dtype=object))
+    with pytest.raises(ValueError, match="Object arrays cannot be saved"):
+        pack(part)
     with pytest.raises(TypeError, match="cannot hold ndarray"):
-        pack(Part(np.array([Path()], dtype=object)))
+        pack(Whole("a", Colour.RED, (part,)))
+
+
+def test_the_arrays_of_the_dataclass_itself_have_their_names_and_are_widened() -> None:
+    content = pack(Whole("a", Colour.RED, counts=np.arange(3, dtype=np.int8)), compressed=True)
+    with np.load(io.BytesIO(content)) as file:
+        assert sorted(file.files) == ["counts", "data", "flags", "header"]
+        assert file["counts"].tolist() == [0, 1, 2]
+    back = unpack(content, Whole)
+    assert back.counts is not None
+    assert back.counts.dtype == np.int64
+    broken = pack(Whole("a", Colour.RED, counts=np.ones(2)))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"Cannot cast .* - at `\$.counts`"):
+        unpack(broken, Whole)
 
 
 @pytest.mark.parametrize("name", ["header", "data"])
 @pytest.mark.parametrize("content", [np.zeros(0, np.uint8), np.array([{}], dtype=object)])
 def test_damaged_content_raises(name: str, content: Any) -> None:
-    with np.load(io.BytesIO(pack(Whole("a", Colour.RED, counts=np.arange(3))))) as file:
+    with np.load(io.BytesIO(pack(Whole("a", Colour.RED, (Part(ONE),))))) as file:
         arrays = dict(file)
     damaged = io.BytesIO()
     np.savez(damaged, allow_pickle=True, **(arrays | {name: content}))

@@ -5,22 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import shapely
 
-from dosplan._public import run_episode
-from dosplan.explain.drive import Drive
 from dosplan.geometry import rectangle_corners
 from dosplan.plugins.registry import create_planner, create_predictor
 from dosplan.report.film.scene import ARM_COLOURS, EGO_COLOUR
-from dosplan.results.lookup import find_recorded
+from dosplan.results.drive import Drive, find_drives
+from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import read_manifest
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
-from dosplan.results.recording import load_recording, pack_recording
 from dosplan.scenario import ScenarioRef, load_scenario
 from dosplan.scoring.collision import shape_at
-from dosplan.system.files import FileError, write_bytes
+from dosplan.simulation.loop import run_episode
+from dosplan.system.files import FileError
 from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Scenario, Score, Tracks
 
 
@@ -126,18 +125,13 @@ def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | No
         FileError: The folder holds no such episode, or none that ever drove, or its scenario
             cannot be found or read, or it is not the one that was driven.
     """
-    found = find_recorded(run, scenario, arms, source)
-    if found.scenario is None:
-        raise FileError(f"nothing was driven of {scenario} in {run}: {found.rows[0].error}")
-    takes = {
-        row.arm: _take(
-            found.scenario,
-            row,
-            None if recording is None else Drive(found.scenario, row, recording),
-        )
-        for row, recording in zip(found.rows, found.recordings, strict=True)
-    }
-    title = _title(scenario, found.manifest.planner, found.manifest.predictor)
+    found = find_drives(run, scenario, arms, source)
+    scene = next((drive.scenario for _, drive in found if drive is not None), None)
+    if scene is None:
+        raise FileError(f"nothing was driven of {scenario} in {run}: {found[0][0].error}")
+    takes = {row.arm: _take(scene, row, drive) for row, drive in found}
+    manifest = read_manifest(RunFolder(run))
+    title = _title(scenario, manifest.planner, manifest.predictor)
     return [takes[arm] for arm in ARMS_SIDE_BY_SIDE if arm in takes], title
 
 
@@ -163,13 +157,9 @@ def takes_of_drive(
     driver, foreteller = create_planner(planner, seed), create_predictor(predictor, seed)
     scenario = load_scenario(ref)
     takes = []
-    with TemporaryDirectory() as folder:
-        for arm in (arm for arm in ARMS_SIDE_BY_SIDE if arm in arms):
-            driven = run_episode(scenario, driver, foreteller, arm)
-            path = Path(folder) / f"{arm}.npz"
-            write_bytes(path, pack_recording(scenario, driven.episode))
-            drive = Drive(scenario, driven.score, load_recording(path))
-            takes.append(_take(scenario, driven.score, drive))
+    for arm in (arm for arm in ARMS_SIDE_BY_SIDE if arm in arms):
+        drive = Drive.of(scenario, run_episode(scenario, driver, foreteller, arm))
+        takes.append(_take(scenario, drive.row, drive))
     return takes, _title(ref.id, driver.name, foreteller.name)
 
 

@@ -8,17 +8,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from dosplan.explain.drive import Drive as ScoredDrive
 from dosplan.explain.goal import goal_facts
 from dosplan.report.html.codec import pack
 from dosplan.report.html.coverage import Foretold, SetsMet, foretold, sets_met
-from dosplan.report.html.episode import Drive, encode_episode
-from dosplan.report.html.scenarios import families, is_of
+from dosplan.report.html.player import encode_episode
+from dosplan.report.html.scenarios import families
 from dosplan.report.html.sides import Pairing
 from dosplan.report.html.thumbnails import thumbnail
+from dosplan.results.drive import Drive
+from dosplan.results.recording import Recording
 from dosplan.system.files import FileError
 from dosplan.types import STEP_SECONDS, CollisionClass, FloatArray, Outcome, Scenario, Score
-from dosplan.vehicle import VehicleParameters
 
 OUTCOME_WORDS: Final = {
     Outcome.SUCCESS: "success",
@@ -123,19 +123,10 @@ def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
     rows = _rows(pairing, scenario)
     recordings = [side.recording(scenario) if examined else None for side in pairing.sides]
     scene = pairing.scenes.load(scenario) if examined else None
-    if scene is not None and not all(is_of(r, scene) for r in recordings if r is not None):
+    if scene is not None and not all(r.is_of(scene) for r in recordings if r is not None):
         scene = None
-    # The vehicle of every scenario that dosplan reads, should the file be gone.
-    vehicle = VehicleParameters() if scene is None else scene.task.vehicle
     drives = [
-        None
-        if recording is None
-        else Drive(
-            recording,
-            row,
-            vehicle,
-            recording.tracks if scene is None else recording.tracks_in(scene),
-        )
+        None if recording is None else _drive(row, recording, scene)
         for recording, row in zip(recordings, rows, strict=True)
     ]
     met = tuple(None if drive is None else _met(drive) for drive in drives)
@@ -145,9 +136,7 @@ def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
         road_kind=pairing.scenes.road_kind(scenario, scene),
         change=change_of(rows),
         rows=rows,
-        why=tuple(
-            _why(row, one, scene, drive) for row, one, drive in zip(rows, met, drives, strict=True)
-        ),
+        why=tuple(_why(row, one, drive) for row, one, drive in zip(rows, met, drives, strict=True)),
         met=met,
         cycle_ms=tuple(np.empty(0) if r is None else r.cycle_ms for r in recordings),
         thumbnail=thumbnail(scene, drives),
@@ -155,27 +144,34 @@ def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
     )
 
 
-def _met(drive: Drive) -> SetsMet | None:
-    if drive.tracks is None:
+def _drive(row: Score, recording: Recording, scene: Scenario | None) -> Drive | None:
+    """The drive; None where row and recording are not of one episode."""
+    try:
+        return Drive(row, recording, scene)
+    except FileError:
         return None
-    return sets_met(drive.recording, drive.tracks, drive.row.steps)
 
 
-def _why(row: Score, met: SetsMet | None, scene: Scenario | None, drive: Drive | None) -> str:
+def _met(drive: Drive) -> SetsMet | None:
+    tracks = drive.known_tracks
+    return None if tracks is None else sets_met(drive.recording, tracks, drive.row.steps)
+
+
+def _why(row: Score, met: SetsMet | None, drive: Drive | None) -> str:
     """A line on what the outcome came from, as far as row and recording tell."""
     if row.outcome is Outcome.PLANNER_FAILURE:
         return row.error or "no plan and no fallback"
-    seconds = None if drive is None else STEP_SECONDS * drive.moment
+    seconds = None if drive is None else drive.seconds(drive.decisive_step)
     when = "" if seconds is None else f" after {seconds:.1f} s"
     if row.outcome is Outcome.OUT_OF_BOUNDS:
         return f"left the road{when}"
-    if row.outcome is Outcome.GOAL_MISSED and scene is not None and drive is not None:
-        return _missed(scene, drive)
+    if row.outcome is Outcome.GOAL_MISSED and drive is not None and drive.scene is not None:
+        return _missed(drive)
     if row.outcome is not Outcome.COLLISION or row.collision_with is None:
         return ""
     user = f"road user {row.collision_with}"
-    if drive is not None and drive.tracks is not None:
-        kinds = dict(zip(drive.tracks.ids.tolist(), drive.tracks.kinds, strict=True))
+    if drive is not None and (tracks := drive.known_tracks) is not None:
+        kinds = dict(zip(tracks.ids.tolist(), tracks.kinds, strict=True))
         user = f"{kinds[row.collision_with].value} {row.collision_with}"
     how = "touched {}" if row.collision_class is None else _CLASS_WORDS[row.collision_class]
     fault = "at fault" if row.at_fault else "not at fault"
@@ -185,13 +181,9 @@ def _why(row: Score, met: SetsMet | None, scene: Scenario | None, drive: Drive |
     return f"{how.format(user)}{when}; {fault}{said}"
 
 
-def _missed(scene: Scenario, drive: Drive) -> str:
+def _missed(drive: Drive) -> str:
     """By how much the goal was missed that the drive came nearest to."""
-    try:
-        scored = ScoredDrive(scene, drive.row, drive.recording)
-    except FileError:  # Read anew with other rounding: what is told would be of another drive.
-        return ""
-    nearest = min(goal_facts(scored), key=lambda facts: (facts.distance, abs(facts.late)))
+    nearest = min(goal_facts(drive), key=lambda facts: (facts.distance, abs(facts.late)))
     return "; ".join(line.partition(": ")[2] for line in nearest.lines())
 
 

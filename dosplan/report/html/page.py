@@ -26,8 +26,8 @@ from dosplan import __version__
 from dosplan.report.film.scene import GOAL_COLOUR, KIND_COLOURS
 from dosplan.report.html import findings
 from dosplan.report.html.cases import FASTER, MOST_EXAMINED, OUTCOME_WORDS, Case, examine
-from dosplan.report.html.episode import KINDS
 from dosplan.report.html.figures import coverage_plot, histogram
+from dosplan.report.html.player import KINDS
 from dosplan.report.html.sides import Pairing
 from dosplan.report.html.thumbnails import HEIGHT, WIDTH
 from dosplan.scoring import metrics

@@ -9,9 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
-from dosplan.results.recording import Recording
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
 from dosplan.scenario.sources.catalogue import SUITE
 from dosplan.types import Scenario, place_of
@@ -29,7 +26,6 @@ ROAD_TAGS: Final = (
 """Tags that say what road a recording is of; the first that a scenario has is its road kind."""
 
 OTHER: Final = "other"
-_SAME: Final = 1e-3  # m, rad and m/s; a reader of another version may round otherwise.
 SMALLEST_FAMILY: Final = 4
 """A place with fewer scenarios is counted with its country."""
 
@@ -98,22 +94,6 @@ def find_scenes(source: str, cached: bool) -> Scenes:
         return Scenes({}, {}, " ".join(str(error).split()), cached)
     kinds = _suite_road_kinds(refs[0].path.parents[1]) if source == SUITE else {}
     return Scenes({ref.id: ref for ref in refs}, kinds, cached=cached)
-
-
-def is_of(recording: Recording, scene: Scenario) -> bool:
-    """Whether a recording was driven in this scenario: it starts where the task does.
-
-    Args:
-        recording: The recording.
-        scene: A scenario of the same id, perhaps read from a file that has changed since.
-
-    Returns:
-        Whether step and state at the start agree, the state within ``_SAME``.
-    """
-    task = scene.task
-    return recording.start_step == task.start_step and bool(
-        np.allclose(recording.states[0], task.start, rtol=0.0, atol=_SAME)
-    )
 
 
 def families(scenarios: Sequence[str]) -> dict[str, str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from dosplan.report.html.scenarios import Scenes
 from dosplan.results.comparison import Comparison
 from dosplan.results.folder import RunFolder
-from dosplan.results.recording import Recording, load_recording
+from dosplan.results.recording import Recording
 from dosplan.system.files import FileError
 from dosplan.types import Arm, Score
 
@@ -39,7 +39,7 @@ class Side:
             The recording, or None where there is none that can be read.
         """
         try:
-            return load_recording(self.folder.recording(scenario, self.arm))
+            return Recording.load(self.folder.recording(scenario, self.arm))
         except FileError:  # It failed before it drove, or the folder holds rows only.
             return None
 

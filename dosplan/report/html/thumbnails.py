@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 
 from dosplan.geometry import areas
-from dosplan.report.html.episode import Drive
+from dosplan.results.drive import Drive
 from dosplan.types import FloatArray, Scenario
 
 WIDTH: Final = 96
@@ -30,7 +30,7 @@ def thumbnail(scene: Scenario | None, drives: Sequence[Drive | None]) -> dict[st
         ``road``, the data of an SVG path, and ``drives``: for each side the ``points`` of an SVG
         polyline, or None.
     """
-    driven = [drive.centres for drive in drives if drive is not None]
+    driven = [drive.ego[:, :2] for drive in drives if drive is not None]
     if not driven:
         return {"road": "", "drives": [None] * len(drives)}
     points = np.concatenate(driven)
@@ -41,7 +41,7 @@ def thumbnail(scene: Scenario | None, drives: Sequence[Drive | None]) -> dict[st
     return {
         "road": "" if scene is None else _road(scene, middle, scale),
         "drives": [
-            None if drive is None else _text(_thin(_placed(drive.centres, middle, scale)))
+            None if drive is None else _text(_thin(_placed(drive.ego[:, :2], middle, scale)))
             for drive in drives
         ],
     }

@@ -19,7 +19,7 @@ from shapely.geometry import MultiPolygon, Polygon
 from dosplan.geometry import areas
 from dosplan.report.html.codec import METRE, RADIAN, SPEED, differences, polyline
 from dosplan.report.html.predictions import prediction_blocks
-from dosplan.results.recording import Recording
+from dosplan.results.drive import Drive
 from dosplan.types import (
     EGO_VELOCITY,
     STEP_SECONDS,
@@ -27,10 +27,8 @@ from dosplan.types import (
     IntArray,
     RoadUserKind,
     Scenario,
-    Score,
     Tracks,
 )
-from dosplan.vehicle import VehicleParameters
 
 MAP_METRES: Final = 60.0
 """How far beside the drives the map is kept."""
@@ -50,45 +48,6 @@ KINDS: Final = tuple(RoadUserKind)
 _TOLERANCE: Final = 0.1  # m; of a simplified outline.
 
 
-@dataclass(frozen=True)
-class Drive:
-    """The scored drive of a side.
-
-    Attributes:
-        recording: The episode.
-        row: Its row.
-        vehicle: The ego.
-        tracks: The road users as they were driven; None where that is not known.
-    """
-
-    recording: Recording
-    row: Score
-    vehicle: VehicleParameters
-    tracks: Tracks | None
-
-    @property
-    def start(self) -> int:
-        """Step of its first state."""
-        return self.recording.start_step
-
-    @property
-    def poses(self) -> FloatArray:
-        """(K + 1, 3) poses of the ego's centre, x, y, m, and heading, rad."""
-        return self.vehicle.poses(self.recording.states[: self.row.steps + 1])
-
-    @property
-    def centres(self) -> FloatArray:
-        """(K + 1, 2) centres of the ego, m."""
-        return self.poses[:, :2]
-
-    @property
-    def moment(self) -> int:
-        """Steps from the start to what decided the outcome."""
-        row = self.row
-        steps = (row.collision_step, row.out_of_bounds_step, row.goal_step)
-        return next((step - self.start for step in steps if step is not None), row.steps)
-
-
 def encode_episode(scene: Scenario | None, drives: Sequence[Drive | None]) -> dict[str, Any]:
     """Writes what the player draws.
 
@@ -100,7 +59,7 @@ def encode_episode(scene: Scenario | None, drives: Sequence[Drive | None]) -> di
         The payload; ``static/player.js`` reads it.
     """
     driven = [drive for drive in drives if drive is not None]
-    origin = np.rint(driven[0].centres[0])
+    origin = np.rint(driven[0].ego[0, :2])
     payload: dict[str, Any] = {
         "dt": STEP_SECONDS,
         "first": min(drive.start for drive in driven),
@@ -136,13 +95,13 @@ def _encode_others(drives: Sequence[Drive | None], origin: FloatArray) -> _Other
     groups: dict[int, list[tuple[int, Drive]]] = {}
     for side, drive in enumerate(drives):
         if drive is not None:
-            groups.setdefault(id(drive.tracks), []).append((side, drive))
+            groups.setdefault(id(drive.known_tracks), []).append((side, drive))
     users: list[dict[str, Any]] = []
     blocks: list[dict[str, Any]] = []
     used: list[dict[str, Any] | None] = [None] * len(drives)
     for group in groups.values():
         sides, members = [side for side, _ in group], [drive for _, drive in group]
-        tracks, wanted = members[0].tracks, None
+        tracks, wanted = members[0].known_tracks, None
         if tracks is not None:
             near = _nearest(tracks, members)
             wanted = {
@@ -160,12 +119,12 @@ def _encode_others(drives: Sequence[Drive | None], origin: FloatArray) -> _Other
         for side, block in zip(sides, shown, strict=True):
             used[side] = None if block is None else block | {"block": block["block"] + len(blocks)}
         blocks += found
-    known = any(drive is not None and drive.tracks is not None for drive in drives)
+    known = any(drive is not None and drive.known_tracks is not None for drive in drives)
     return _Others(users if known else None, blocks, used)
 
 
 def _encode_drive(drive: Drive, origin: FloatArray) -> dict[str, Any]:
-    recording, poses = drive.recording, drive.poses
+    recording, poses = drive.recording, drive.ego
     kept = np.flatnonzero(recording.cycle_steps < drive.start + drive.row.steps)
     plans = recording.plan_centres[kept, PLAN_STRIDE::PLAN_STRIDE] - origin
     # A plan that is shorter than the longest stays at its last point.
@@ -179,7 +138,7 @@ def _encode_drive(drive: Drive, origin: FloatArray) -> dict[str, Any]:
         "y": differences(poses[:, 1] - origin[1], METRE, 2),
         "h": differences(np.unwrap(poses[:, 2]), RADIAN, 1),
         "v": differences(recording.states[: len(poses), EGO_VELOCITY], SPEED, 1),
-        "moment": drive.moment,
+        "moment": drive.decisive_step - drive.start,
         "cycles": differences(recording.cycle_steps[kept], 1.0, 1),
         "plans": [
             [differences(plans[:, column, axis], METRE, 2) for axis in range(2)]
@@ -258,7 +217,7 @@ def outlines(area: shapely.Geometry, origin: FloatArray) -> list[list[int]]:
 
 
 def _bounds(drives: Sequence[Drive], margin: float) -> tuple[float, float, float, float]:
-    centres = np.concatenate([drive.centres for drive in drives])
+    centres = np.concatenate([drive.ego[:, :2] for drive in drives])
     (left, bottom), (right, top) = centres.min(axis=0) - margin, centres.max(axis=0) + margin
     return float(left), float(bottom), float(right), float(top)
 
@@ -272,7 +231,7 @@ def _distances(tracks: Tracks, drives: Sequence[Drive]) -> FloatArray:
     """(N,) smallest distance of each road user to an ego at the same step, m."""
     smallest = np.full(len(tracks.ids), np.inf)
     for drive in drives:
-        centres = drive.centres[: max(tracks.steps - drive.start, 0)]
+        centres = drive.ego[:, :2][: max(tracks.steps - drive.start, 0)]
         window = slice(drive.start, drive.start + len(centres))
         apart = np.linalg.norm(tracks.states[:, window, :2] - centres, axis=-1)
         apart[~tracks.valid[:, window]] = np.inf

@@ -22,7 +22,13 @@ def pytest_configure() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keeps the tests, and what they start, out of the user's cache of scenarios."""
+    """Keeps the tests, and what they start, out of the user's cache of scenarios.
+
+    All processes of a run of the tests share one, so that each scenario is parsed once.
+    """
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:  # Whose folder is one of its own in that.
+        folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("DOSPLAN_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("DOSPLAN_CACHE", str(folder / "shared-cache"))
         yield

@@ -134,7 +134,7 @@ def test_run_tells_planner_failures_by_its_exit_code_and_on_stderr(
 ) -> None:
     scenes = write_followed(tmp_path)
     planner = ["--planner", f"{FAULTY}:FaultyPlanner", "--limit", "1", "--with-dos"]
-    out = ["--out", str(tmp_path / "run"), "--workers", "1"]
+    out = ["--out", str(tmp_path / "run"), "--in-process"]
     assert main(["run", str(scenes), *COAST, *planner, *out]) == cli.FAILED
     assert read_json(tmp_path / "run" / "run.json")["config"]["arms"] == ["with_dos"]
     line = capsys.readouterr().err.splitlines()[-1]

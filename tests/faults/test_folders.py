@@ -14,14 +14,13 @@ import pytest
 from dosplan.cli.main import BAD_INPUT, main
 from dosplan.results.folder import RunFolder
 from dosplan.running import run as runner
-from dosplan.running.run import RunError, run
+from dosplan.running.run import RunError
 from dosplan.scenario import find_scenarios
 from dosplan.system.files import FileError
 from tests.support.fault_runs import (
     command,
     configured,
     rows_in,
-    start,
     untimed,
     write_scenes,
 )
@@ -49,29 +48,24 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", str(mount)], check=True)
 
 
-def _complaint(arguments: list[str]) -> str:
-    process = start(arguments)
-    shown, complaint = process.communicate(timeout=300.0)
-    assert process.returncode == BAD_INPUT
-    assert shown == ""
-    return complaint.splitlines()[-1]
-
-
 def test_a_disk_that_fills_up_is_one_line_and_the_run_resumes_when_there_is_room(
-    scenes: Path, tiny_disk: Path, tmp_path: Path
+    scenes: Path, tiny_disk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     filler = tiny_disk / "filler"
     filler.write_bytes(bytes(40 * 1024))
     out = tiny_disk / "run"
-    line = _complaint(command(out, scenes, "CoastPlanner", "--workers", "1"))
+    assert main(command(out, scenes, "CoastPlanner", "--in-process")[3:]) == BAD_INPUT
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    line = shown.err.splitlines()[-1]
     assert line.startswith(f"dosplan: error: cannot write {out}/")
     assert line.endswith("No space left on device")
     assert not (out / "summary.json").exists()
 
     filler.unlink()
     config = configured(out, scenes)
-    undisturbed = untimed(run(configured(tmp_path / "run", scenes)))
-    assert untimed(run(config)) == undisturbed
+    undisturbed = untimed(run_here(configured(tmp_path / "run", scenes)))
+    assert untimed(run_here(config)) == undisturbed
 
 
 @pytest.mark.parametrize("room", range(200, 2200, 300))
@@ -149,9 +143,9 @@ def test_usage_errors_and_failures_have_their_exit_codes(scenes: Path, tmp_path:
     # 0: all scored; 1: some failed; 2: bad input; 130 is in test_signals.
     codes = {"CoastPlanner": 0, "NoSuchPlanner": 2}
     for planner, code in codes.items():
-        arguments = command(tmp_path / planner, scenes, planner, "--workers", "1", "--limit", "1")
+        arguments = command(tmp_path / planner, scenes, planner, "--in-process", "--limit", "1")
         assert main(arguments[3:]) == code
     faulty = write_scenes(tmp_path / "scenes", 2)  # The second one raises.
     out = tmp_path / "failed"
-    assert main(command(out, faulty, "FaultPlanner", "--workers", "1", "--with-dos")[3:]) == 1
+    assert main(command(out, faulty, "FaultPlanner", "--in-process", "--with-dos")[3:]) == 1
     assert rows_in(out) == 2

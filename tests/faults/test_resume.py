@@ -38,7 +38,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def undisturbed(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    return untimed(run(configured(tmp_path_factory.mktemp("undisturbed") / "run", scenes)))
+    return untimed(run_here(configured(tmp_path_factory.mktemp("undisturbed") / "run", scenes)))
 
 
 def _run_and_die(config: RunConfig, moment: int) -> None:

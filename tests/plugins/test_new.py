@@ -73,7 +73,7 @@ def test_the_pair_of_them_reaches_a_goal(tmp_path: Path) -> None:
     plugins += ["--predictor", f"{folder}/theirs.py:TheirsPredictor"]
     options = ["--set", "planner.gap=12", "--set", "predictor.spread=0.3"]
     out = tmp_path / "run"
-    arguments = [*plugins, *options, "--workers", "1", "--limit", "1", "--out", str(out)]
+    arguments = [*plugins, *options, "--in-process", "--limit", "1", "--out", str(out)]
     assert main(["run", str(scene.parent), *arguments]) == OK
     rows = read_rows(out / "scenarios.jsonl")
     assert [row.outcome for row in rows] == [Outcome.SUCCESS, Outcome.SUCCESS]

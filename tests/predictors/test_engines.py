@@ -83,7 +83,7 @@ def assert_same(ours: Occupancy, reference: Occupancy) -> None:
 
 @pytest.mark.parametrize("ref", REFS, ids=lambda ref: ref.id)
 def test_both_engines_predict_the_same_sets(ref: ScenarioRef, folder: Path) -> None:
-    scenario = load_scenario(ref)
+    scenario = load_scenario(ref, cached=True)
     reference, ours = predictors(folder, Variant.FREE)
     for predictor in (reference, ours):
         predictor.reset(scenario.task, scenario.road_map)

@@ -82,7 +82,10 @@ def test_a_run_is_that_of_the_command(
     scenes: Path, results: Results, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plugins = ["--planner", "tests.support.faulty:CoastPlanner", "--predictor", STILL]
-    assert main(["run", str(scenes), *plugins, "--out", str(tmp_path / "command")]) == 0
+    assert (
+        main(["run", str(scenes), *plugins, "--out", str(tmp_path / "command"), "--in-process"])
+        == 0
+    )
     assert untimed(tmp_path / "command") == untimed(results.path)
     assert results.manifest.config.planner == "tests.support.faulty:CoastPlanner"
     assert results.manifest.config.cache

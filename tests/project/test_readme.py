@@ -40,7 +40,7 @@ def test_own_planner_of_the_readme_is_checked_and_driven(
     assert main(check) == 0, capsys.readouterr().out
 
     write_scenario_xml(Path("ZAM_Test-0_1_T-1.xml"), benchmark_id="ZAM_Test-0_1_T-1")
-    small = ["ZAM_Test-0_1_T-1.xml", "--predictor", "constant-velocity", "--workers", "1"]
+    small = ["ZAM_Test-0_1_T-1.xml", "--predictor", "constant-velocity", "--in-process"]
     assert main([*drive, *small, "--out", "run"]) == 0
     assert read_json(Path("run/run.json"))["config"]["planner_options"] == {"gap": 12}
     wrong = [*drive[:-1], "planner.gab=12", *small]

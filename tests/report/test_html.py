@@ -132,7 +132,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def driven(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of both, with its report."""
     out = tmp_path_factory.mktemp("driven") / "run"
-    assert main(["run", str(scenes), *COAST, "--workers", "1", "--out", str(out)]) == cli.OK
+    assert main(["run", str(scenes), *COAST, "--in-process", "--out", str(out)]) == cli.OK
     return out
 
 
@@ -401,7 +401,7 @@ def test_a_missed_goal_is_told_by_how_much(tmp_path: Path) -> None:
     path = tmp_path / f"{name}.xml"
     write_scenario_xml(path, problems=[Problem(goals=(goal,))], benchmark_id=name)
     out = tmp_path / "run"
-    assert main(["run", str(path), *COAST, "--workers", "1", "--out", str(out)]) == cli.OK
+    assert main(["run", str(path), *COAST, "--in-process", "--out", str(out)]) == cli.OK
     ((case,),) = (s["cases"] for s in _data((out / "report.html").read_text("utf-8"))["sections"])
     told = r"position never reached: closest \d\d\.\d\d m, 1\.0 s after the start, at the last step"
     assert all(re.match(told, side["why"]) for side in case["sides"])
@@ -437,7 +437,7 @@ def test_a_report_that_fails_does_not_fail_the_run(
 
     monkeypatch.setattr("dosplan.report.html.write.write_report", refuse)
     out = tmp_path / "run"
-    arguments = [str(scenes / "ZAM_Free-1_1_T-1.xml"), *COAST, "--workers", "1"]
+    arguments = [str(scenes / "ZAM_Free-1_1_T-1.xml"), *COAST, "--in-process"]
     assert main(["run", *arguments, "--with-dos", "--out", str(out)]) == cli.OK
     (line,) = (text for text in capsys.readouterr().out.splitlines() if "no report" in text)
     assert "no room" in line

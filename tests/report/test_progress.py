@@ -138,7 +138,7 @@ def test_quiet_json_is_one_document_that_agrees_with_the_summary(
     scenes: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "run"
-    options = ("--workers", "1", "--out", str(out), "--quiet", "--json")
+    options = ("--in-process", "--out", str(out), "--quiet", "--json")
     assert main(["run", str(scenes), *COAST, *options]) == OK
     shown = capfd.readouterr()
     assert json.loads(shown.out) == read_json(out / "summary.json")
@@ -165,7 +165,7 @@ def test_quiet_tells_of_failures_all_the_same(
     scenes: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     planner = ("--planner", f"{FAULTY}:UnbuildablePlanner", *COAST[2:])
-    options = ("--workers", "1", "--limit", "1", "--with-dos", "--quiet", "--json")
+    options = ("--in-process", "--limit", "1", "--with-dos", "--quiet", "--json")
     assert main(["run", str(scenes), *planner, "--out", str(tmp_path / "run"), *options]) == FAILED
     shown = capfd.readouterr()
     assert json.loads(shown.out)["with_dos"]["planner_failure_rate"] == 1.0
@@ -203,6 +203,8 @@ def test_a_terminal_has_the_table_live_and_keeps_what_was_scored_on_ctrl_c(
     scenes: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
+    # Which would be taken for the size of the terminal.
+    environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "LINES")}
     terminal, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 40, 100, 0, 0))
     process = subprocess.Popen(
@@ -212,7 +214,7 @@ def test_a_terminal_has_the_table_live_and_keeps_what_was_scored_on_ctrl_c(
         ],
         stdout=subprocess.PIPE,
         stderr=theirs,
-        env={**os.environ, "TERM": "xterm"},
+        env={**environment, "TERM": "xterm"},
     )
     os.close(theirs)
     os.set_blocking(terminal, False)

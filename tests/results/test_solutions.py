@@ -153,7 +153,7 @@ def test_solutions_can_be_asked_for_when_all_is_driven(
 ) -> None:
     scenes, out = write_scenes(tmp_path / "scenes", 2), tmp_path / "run"
     plugins = ["--planner", f"{PLANNERS}:CoastPlanner", "--predictor", STILL]
-    arguments = ["run", str(scenes), *plugins, "--with-dos", "--out", str(out)]
+    arguments = ["run", str(scenes), *plugins, "--with-dos", "--out", str(out), "--in-process"]
     assert main(arguments) == 0, capsys.readouterr().err
     assert not (out / "solutions").exists()
     rows = (out / "scenarios.jsonl").read_bytes()

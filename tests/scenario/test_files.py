@@ -98,7 +98,7 @@ def test_speed_across_the_body_counts_where_the_file_names_it(tmp_path: Path) ->
 def test_speeds_of_the_suite_are_displacements_per_step() -> None:
     """The middle step of three: (p(t + 1) - p(t - 1)) / 2 dt is v(t) to the second order."""
     for ref in find_scenarios("suite")[::50]:
-        scenario = load_scenario(ref)
+        scenario = load_scenario(ref, cached=True)
         states, valid = scenario.tracks.states, scenario.tracks.valid
         passed = np.linalg.norm(states[:, 2:, :2] - states[:, :-2, :2], axis=-1) / 0.2
         speed = states[:, 1:-1, 3]

@@ -24,6 +24,12 @@ A, B, C = (f"ZAM_{name}-1_1_T-1" for name in "ABC")
 BROKEN = b"<commonRoad"
 
 
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cache of the test's own: what comes to lie in it is looked at."""
+    monkeypatch.setenv("DOSPLAN_CACHE", str(tmp_path / "cache"))
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """``a.xml``, ``deep/b.xml.gz`` (two problems), a broken ``deep/bad.xml`` and what is none."""

@@ -72,7 +72,7 @@ def test_suite_is_diverse() -> None:
 
 @pytest.mark.parametrize("row", each())
 def test_scenario_is_fit_for_use(row: Row) -> None:
-    scenario = load_scenario(SUITE / row["file"])
+    scenario = load_scenario(SUITE / row["file"], cached=True)
     assert scenario.id == row["id"]
     _check_times(scenario, float(row["duration_s"]))
     _check_start(scenario)

@@ -43,7 +43,7 @@ def commonroad(name: str, folder: Path) -> Any:
 
 
 def scenario(name: str) -> Scenario:
-    return load_scenario(SUITE / "files" / f"{name}.xml.gz")
+    return load_scenario(SUITE / "files" / f"{name}.xml.gz", cached=True)
 
 
 def seen_at(drive: Scenario, step: int) -> Observation:

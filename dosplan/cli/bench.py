@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+from typing import TYPE_CHECKING, Any
 
 from dosplan.cli.arguments import add_json, show
 from dosplan.cli.command import OK
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
 
 
 class BenchCommand:
@@ -55,7 +59,7 @@ class BenchCommand:
             RunError: A run cannot go on.
             FileError: A file cannot be written.
         """
-        from dosplan.running.scaling import measure_scale, scale_tables
+        from dosplan.running.scaling import measure_scale
 
         figures = measure_scale(
             options.planner,
@@ -64,8 +68,31 @@ class BenchCommand:
             options.episodes,
             lambda what: print(what, file=sys.stderr),
         )
-        show(scale_tables(figures), figures, options.json)
+        show(_tables(figures), figures, options.json)
         return OK
+
+
+def _tables(figures: dict[str, Any]) -> list[RenderableType]:
+    """The figures of ``measure_scale``, to be printed one after another."""
+    from dosplan.report.tables import table
+
+    runs = {f"workers: {workers}": run for workers, run in figures["drive"].items()}
+    runs["tiny, workers: 2"] = figures["tiny"]
+    measured = [
+        [name.replace("_", " "), *(f"{run[name]:.4g}" for run in runs.values())]
+        for name in figures["tiny"]
+    ]
+    single = {
+        "part": {**figures["start"], **figures["parts"]},
+        "a million scenarios": figures["million"],
+    }
+    return [
+        table(["run", *runs], measured),
+        *(
+            table([title, ""], [[n.replace("_", " "), f"{v:.4g}"] for n, v in values.items()])
+            for title, values in single.items()
+        ),
+    ]
 
 
 def _count(text: str) -> int:

@@ -17,9 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 import psutil
-from rich.console import RenderableType
 
-from dosplan.report.tables import table
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import load_cycle_ms
 from dosplan.results.rows import append_row, read_rows
@@ -122,34 +120,6 @@ def measure_scale(
         "million": _project(drives["1"], tiny, parts),
         "environment": asdict(describe_environment()),
     }
-
-
-def scale_tables(figures: dict[str, Any]) -> list[RenderableType]:
-    """Lays the figures out for the terminal.
-
-    Args:
-        figures: What ``measure_scale`` returned.
-
-    Returns:
-        Tables, to be printed one after another.
-    """
-    runs = {f"workers: {workers}": run for workers, run in figures["drive"].items()}
-    runs["tiny, workers: 2"] = figures["tiny"]
-    measured = [
-        [name.replace("_", " "), *(f"{run[name]:.4g}" for run in runs.values())]
-        for name in figures["tiny"]
-    ]
-    single = {
-        "part": {**figures["start"], **figures["parts"]},
-        "a million scenarios": figures["million"],
-    }
-    return [
-        table(["run", *runs], measured),
-        *(
-            table([title, ""], [[n.replace("_", " "), f"{v:.4g}"] for n, v in values.items()])
-            for title, values in single.items()
-        ),
-    ]
 
 
 def _measure_start(config: RunConfig) -> dict[str, float]:

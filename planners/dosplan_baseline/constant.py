@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dosplan.api import Planner
+from typing import Any
+
+from dosplan.api import NoSettings, Planner
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
 from dosplan.vehicle import VehicleParameters
-from dosplan_baseline.tracking import extended_path, roll_out
+from dosplan_baseline.tracking import PathFollower, extended_path
 
 
 class ConstantAccelerationPlanner(Planner):
@@ -17,6 +19,16 @@ class ConstantAccelerationPlanner(Planner):
 
     acceleration: float = 0.0
 
+    def __init__(self, *, seed: int = 0, settings: Any = NoSettings()) -> None:
+        """Waits for an episode.
+
+        Args:
+            seed: Seed of the run; nothing here is random.
+            settings: The options.
+        """
+        super().__init__(seed=seed, settings=settings)
+        self._follower: PathFollower | None = None
+
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
         """Prepares the path.
 
@@ -25,8 +37,7 @@ class ConstantAccelerationPlanner(Planner):
             road_map: The map.
             vehicle: The ego's parameters.
         """
-        self._path = extended_path(task.route)
-        self._vehicle = vehicle
+        self._follower = PathFollower(extended_path(task.route), vehicle, task.dt)
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
         """Rolls the acceleration out.
@@ -37,11 +48,10 @@ class ConstantAccelerationPlanner(Planner):
 
         Returns:
             The plan.
+
+        Raises:
+            RuntimeError: No episode has begun.
         """
-        return roll_out(
-            self._path,
-            observation.ego,
-            lambda step, s, velocity: self.acceleration,
-            self._vehicle,
-            observation.dt,
-        )
+        if self._follower is None:
+            raise RuntimeError("no episode has begun: reset comes before plan")
+        return self._follower.roll_out(observation.ego, lambda step, s, v: self.acceleration)

@@ -25,7 +25,7 @@ from dosplan.types import (
     RoadMap,
 )
 from dosplan.vehicle import VehicleParameters
-from dosplan_baseline.tracking import bend_speed, extended_path, roll_out
+from dosplan_baseline.tracking import PathFollower, bend_speed, extended_path
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Leaders:
 
 def idm_acceleration(
     velocity: float,
-    wish: float,
+    desired: float,
     gap: FloatArray,
     leader_velocity: FloatArray,
     settings: IdmSettings,
@@ -95,7 +95,7 @@ def idm_acceleration(
 
     Args:
         velocity: Own velocity, m/s.
-        wish: Desired velocity, m/s, positive.
+        desired: Desired velocity, m/s, positive.
         gap: (L,) bumper-to-bumper gaps, m; L may be 0.
         leader_velocity: (L,) m/s.
         settings: The figures of the model.
@@ -104,11 +104,11 @@ def idm_acceleration(
         m/s2, at least ``-settings.full_braking``.
     """
     most, comfortable = settings.acceleration, settings.deceleration
-    if velocity <= wish:
-        free = most * (1.0 - (velocity / wish) ** settings.exponent)
+    if velocity <= desired:
+        free = most * (1.0 - (velocity / desired) ** settings.exponent)
     else:
         power = most * settings.exponent / comfortable
-        free = -comfortable * (1.0 - (wish / velocity) ** power)
+        free = -comfortable * (1.0 - (desired / velocity) ** power)
     closing = velocity * (velocity - leader_velocity)
     dynamic = velocity * settings.time_gap + closing / (2.0 * np.sqrt(most * comfortable))
     ratio = (settings.least_gap + np.maximum(dynamic, 0.0)) / np.maximum(gap, 0.1)
@@ -172,6 +172,70 @@ def set_corners(occupancy: Occupancy, steps: int) -> FloatArray:
     return rectangle_corners(poses, set_sizes(occupancy, steps))
 
 
+class IdmEpisode:
+    """Plans the cycles of one episode."""
+
+    def __init__(
+        self, settings: IdmSettings, task: PlanningTask, vehicle: VehicleParameters
+    ) -> None:
+        """Prepares the path, the speed its bends allow and the way to each goal.
+
+        Args:
+            settings: The options.
+            task: Start, goal and route.
+            vehicle: The ego's parameters.
+        """
+        path = extended_path(task.route)
+        self._settings = settings
+        self._follower = PathFollower(path, vehicle, task.dt)
+        self._bends = bend_speed(path, settings.lateral_acceleration, settings.deceleration)
+        self._start_velocity = float(task.start[EGO_VELOCITY])
+        self._goals = [(goal, _extent(goal, path, settings.goal_margin)) for goal in task.goals]
+
+    def plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        """Rolls the model out behind leaders that keep their speed.
+
+        Args:
+            observation: What is known now.
+            occupancy: What the leaders are found in.
+
+        Returns:
+            The plan.
+        """
+        settings, vehicle = self._settings, self._follower.vehicle
+        leaders = find_leaders(self._follower.path, observation, occupancy, vehicle, settings)
+        desired = self.desired_velocity(observation)
+        front = vehicle.rear_to_centre + 0.5 * vehicle.length
+
+        def acceleration(step: int, s: float, velocity: float) -> float:
+            allowed = min(desired, float(np.interp(s, *self._bends)))
+            gap = leaders.rear + leaders.velocity * step * observation.dt - (s + front)
+            return idm_acceleration(
+                velocity, max(allowed, settings.least_velocity), gap, leaders.velocity, settings
+            )
+
+        return self._follower.roll_out(observation.ego, acceleration)
+
+    def desired_velocity(self, observation: Observation) -> float:
+        """The speed of the start, changed as little as the goal's place, time and speed ask.
+
+        Args:
+            observation: What is known now.
+
+        Returns:
+            m/s.
+        """
+        now = observation.step
+        goal, (near, far) = next(
+            (pair for pair in self._goals if pair[0].last_step > now), self._goals[-1]
+        )
+        window = max(goal.first_step, now + 1), max(goal.last_step, now + 1)
+        time = (0.5 * sum(window) - now) * observation.dt
+        s = float(self._follower.path.locate(self._follower.vehicle.centre(observation.ego)))
+        on_time = float(np.clip(self._start_velocity, (near - s) / time, (far - s) / time))
+        return float(np.clip(on_time, *(goal.velocity or (0.0, np.inf))))
+
+
 class IdmPlanner(Planner):
     """Follows the route, the goal's deadline and the leader."""
 
@@ -187,27 +251,20 @@ class IdmPlanner(Planner):
         """
         super().__init__(seed=seed, settings=settings)
         self._settings = settings
+        self._episode: IdmEpisode | None = None
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
-        """Prepares the path, the speed its bends allow and the way to each goal.
+        """Begins an episode.
 
         Args:
             task: Start, goal and route.
             road_map: The map.
             vehicle: The ego's parameters.
         """
-        self._vehicle = vehicle
-        self._path = extended_path(task.route)
-        self._bends = bend_speed(
-            self._path, self._settings.lateral_acceleration, self._settings.deceleration
-        )
-        self._start_velocity = float(task.start[EGO_VELOCITY])
-        self._goals = [
-            (goal, _extent(goal, self._path, self._settings.goal_margin)) for goal in task.goals
-        ]
+        self._episode = IdmEpisode(self._settings, task, vehicle)
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
-        """Rolls the model out behind leaders that keep their speed.
+        """Plans one cycle.
 
         Args:
             observation: What is known now.
@@ -215,30 +272,13 @@ class IdmPlanner(Planner):
 
         Returns:
             The plan.
+
+        Raises:
+            RuntimeError: No episode has begun.
         """
-        settings = self._settings
-        leaders = find_leaders(self._path, observation, occupancy, self._vehicle, settings)
-        wish = self._wish(observation)
-        front = self._vehicle.rear_to_centre + 0.5 * self._vehicle.length
-
-        def acceleration(step: int, s: float, velocity: float) -> float:
-            allowed = max(min(wish, float(np.interp(s, *self._bends))), settings.least_velocity)
-            gap = leaders.rear + leaders.velocity * step * observation.dt - (s + front)
-            return idm_acceleration(velocity, allowed, gap, leaders.velocity, settings)
-
-        return roll_out(self._path, observation.ego, acceleration, self._vehicle, observation.dt)
-
-    def _wish(self, observation: Observation) -> float:
-        """The speed of the start, changed as little as the goal's place, time and speed ask."""
-        now = observation.step
-        goal, (near, far) = next(
-            (pair for pair in self._goals if pair[0].last_step > now), self._goals[-1]
-        )
-        window = max(goal.first_step, now + 1), max(goal.last_step, now + 1)
-        time = (0.5 * sum(window) - now) * observation.dt
-        s = float(self._path.locate(self._vehicle.centre(observation.ego)))
-        wish = float(np.clip(self._start_velocity, (near - s) / time, (far - s) / time))
-        return float(np.clip(wish, *(goal.velocity or (0.0, np.inf))))
+        if self._episode is None:
+            raise RuntimeError("no episode has begun: reset comes before plan")
+        return self._episode.plan(observation, occupancy)
 
 
 def _extent(goal: GoalState, path: ReferencePath, most: float) -> tuple[float, float]:

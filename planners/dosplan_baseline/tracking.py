@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -69,67 +70,69 @@ def bend_speed(
     return path.arclength, braking_envelope(squared, path.arclength, braking)
 
 
-def steering_rate(
-    path: ReferencePath, state: FloatArray, s: float, vehicle: VehicleParameters
-) -> float:
-    """Steering rate that brings the rear axle onto the path and keeps it there.
+@dataclass(frozen=True)
+class PathFollower:
+    """Drives a vehicle along a path.
 
-    The feedback law for the rear axle of a kinematic bicycle (Paden et al., "A Survey of Motion
-    Planning and Control Techniques for Self-Driving Urban Vehicles", 2016, sec. V-A2), written
-    as a curvature, with gains for a critically damped decay of the lateral error e over the
-    length l: ``curvature = k cos(a) / (1 - k e) - 2 a / l - sinc(a) e / l^2``, where a is the
-    heading error and k the path's curvature where the ego will be once the wheels have turned.
-
-    Args:
+    Attributes:
         path: The path.
-        state: (5,) ego state.
-        s: Its arc length on the path, m.
-        vehicle: The ego.
-
-    Returns:
-        rad/s, not yet limited.
-    """
-    velocity = float(state[EGO_VELOCITY])
-    error = float(path.offset(state[:2], s))
-    angle = float(wrap_angle(state[EGO_HEADING] - path.heading_at(s)))
-    bend = float(path.curvature_at(s + _ACTUATION * velocity))
-    length = max(_LENGTH_LEAST, _LENGTH_TIME * velocity)
-    # Beyond the centre of the bend the law has no meaning; there the pole is kept away.
-    follow = bend * np.cos(angle) / max(1.0 - bend * error, 0.2)
-    curvature = follow - 2.0 * angle / length - np.sinc(angle / np.pi) * error / length**2
-    wanted = np.arctan(vehicle.wheelbase * curvature)
-    limited = np.clip(wanted, -vehicle.max_steering, vehicle.max_steering)
-    return float(limited - state[EGO_STEERING]) / _ACTUATION
-
-
-def roll_out(
-    path: ReferencePath,
-    state: FloatArray,
-    acceleration: AccelerationLaw,
-    vehicle: VehicleParameters,
-    dt: float,
-    steps: int = PLAN_STEPS,
-) -> Plan:
-    """A plan that follows a path with a given law for the speed.
-
-    Args:
-        path: The path.
-        state: (5,) ego state now.
-        acceleration: From step, arc length of the rear axle, m, and velocity, m/s, to
-            acceleration, m/s2.
         vehicle: The ego.
         dt: Step, s.
-        steps: Number T of steps.
-
-    Returns:
-        The plan; its inputs are what the actuators can deliver.
     """
-    states, inputs = [state], []
-    for step in range(steps):
-        now = states[-1]
-        s = float(path.locate(now[:2]))
-        rate = steering_rate(path, now, s, vehicle)
-        wanted = np.array([rate, acceleration(step, s, float(now[EGO_VELOCITY]))])
-        inputs.append(vehicle.clip_input(now, wanted, dt))
-        states.append(vehicle.step(now, inputs[-1], dt))
-    return Plan(states=np.stack(states), inputs=np.stack(inputs))
+
+    path: ReferencePath
+    vehicle: VehicleParameters
+    dt: float
+
+    def steering_rate(self, state: FloatArray, s: float) -> float:
+        """Steering rate that brings the rear axle onto the path and keeps it there.
+
+        The feedback law for the rear axle of a kinematic bicycle (Paden et al., "A Survey of
+        Motion Planning and Control Techniques for Self-Driving Urban Vehicles", 2016, sec. V-A2),
+        written as a curvature, with gains for a critically damped decay of the lateral error e
+        over the length l: ``curvature = k cos(a) / (1 - k e) - 2 a / l - sinc(a) e / l^2``, where
+        a is the heading error and k the path's curvature where the ego will be once the wheels
+        have turned.
+
+        Args:
+            state: (5,) ego state.
+            s: Its arc length on the path, m.
+
+        Returns:
+            rad/s, not yet limited.
+        """
+        path, vehicle, velocity = self.path, self.vehicle, float(state[EGO_VELOCITY])
+        error = float(path.offset(state[:2], s))
+        angle = float(wrap_angle(state[EGO_HEADING] - path.heading_at(s)))
+        bend = float(path.curvature_at(s + _ACTUATION * velocity))
+        length = max(_LENGTH_LEAST, _LENGTH_TIME * velocity)
+        # Beyond the centre of the bend the law has no meaning; there the pole is kept away.
+        follow = bend * np.cos(angle) / max(1.0 - bend * error, 0.2)
+        curvature = follow - 2.0 * angle / length - np.sinc(angle / np.pi) * error / length**2
+        wanted = np.arctan(vehicle.wheelbase * curvature)
+        limited = np.clip(wanted, -vehicle.max_steering, vehicle.max_steering)
+        return float(limited - state[EGO_STEERING]) / _ACTUATION
+
+    def roll_out(
+        self, state: FloatArray, acceleration: AccelerationLaw, steps: int = PLAN_STEPS
+    ) -> Plan:
+        """A plan that follows the path with a given law for the speed.
+
+        Args:
+            state: (5,) ego state now.
+            acceleration: From step, arc length of the rear axle, m, and velocity, m/s, to
+                acceleration, m/s2.
+            steps: Number T of steps.
+
+        Returns:
+            The plan; its inputs are what the actuators can deliver.
+        """
+        states, inputs = [state], []
+        for step in range(steps):
+            now = states[-1]
+            s = float(self.path.locate(now[:2]))
+            law = acceleration(step, s, float(now[EGO_VELOCITY]))
+            wanted = np.array([self.steering_rate(now, s), law])
+            inputs.append(self.vehicle.clip_input(now, wanted, self.dt))
+            states.append(self.vehicle.step(now, inputs[-1], self.dt))
+        return Plan(states=np.stack(states), inputs=np.stack(inputs))

@@ -1,13 +1,13 @@
 """The optimal control problem as machine code: libraries in the cache, made by a C compiler.
 
 CasADi evaluates a problem in a virtual machine. The same problem, written out as C and compiled,
-gives the same iterates to the last bit in about half the time, but a compiler takes minutes for
-what the virtual machine is ready for in half a second. So ``dosplan compile`` makes libraries once,
-and what solves a problem uses the one that is there and never needs a compiler itself.
+gives the same iterates to the last bit in about half the time. A compiler takes minutes for what
+the virtual machine is ready for in half a second, so ``dosplan compile`` makes libraries once; the
+planner uses a library that is there and never needs a compiler itself.
 
-A library is named by a SHA-256 over the problem as CasADi serialises it, so it never has to be told
-that it is out of date; nobody asks for it any more. Its own digest lies beside it: a system that is
-told to load half a library kills the process.
+A library is named by a SHA-256 over the problem as CasADi serialises it: a setting that changes the
+problem changes the name, and the library of the old problem is not loaded any more. The digest of
+its content lies beside it, because loading an incomplete library kills the process.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class Formulation:
                 telling = min(lines, key=lambda line: "error" not in line)  # The first of them.
                 raise CompileError(f"{shlex.join(compiler)} failed: {telling}") from None
             data = library.read_bytes()
-        # What is read in between is a library without a digest, which nobody loads.
+        # A process that looks in between finds a library without a digest and does not load it.
         _digest_file(path).unlink(missing_ok=True)
         write_bytes(path, data)
         write_text(_digest_file(path), sha256(data).hexdigest())

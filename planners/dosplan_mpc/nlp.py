@@ -91,8 +91,9 @@ class _Variables:
     """Where states, inputs and slacks are in the vector of decisions, and their bounds.
 
     fatrop wants them stage by stage: state, input (none at the last stage), slacks (none at the
-    first). ``casadi.Opti`` builds another graph, whose results round otherwise, and
-    ``struct_symSX`` interleaves only what every stage has; hence this is by hand.
+    first). This is by hand because ``casadi.Opti`` makes its solver itself, which cannot be given
+    a compiled library, and ``casadi.tools.struct_symSX`` interleaves from the first stage on, which
+    has no slacks.
 
     Attributes:
         count: Number of decisions.
@@ -117,7 +118,7 @@ class _Variables:
         self.slacks: IntArray = np.stack(blocks[2::3][1:])
         self.lower: FloatArray = np.full(self.count, -np.inf)
         self.upper: FloatArray = np.full(self.count, np.inf)
-        # The first state is given.
+        # The first state has no bounds: an equation gives it.
         steering, velocity = self.states[1:, EGO_STEERING], self.states[1:, EGO_VELOCITY]
         self.lower[steering], self.upper[steering] = -vehicle.max_steering, vehicle.max_steering
         self.lower[velocity], self.upper[velocity] = 0.0, vehicle.max_velocity

@@ -10,13 +10,14 @@ import pytest
 from dosplan_baseline.brake import BrakePlanner
 from dosplan_baseline.cruise import CruisePlanner
 from dosplan_baseline.idm import (
+    IdmEpisode,
     IdmPlanner,
     IdmSettings,
     find_leaders,
     idm_acceleration,
     set_corners,
 )
-from dosplan_baseline.tracking import bend_speed, extended_path, roll_out
+from dosplan_baseline.tracking import PathFollower, bend_speed, extended_path
 from dosplan_simple.predictors import ConstantVelocityPredictor, NonePredictor
 from dosplan_simple.sets import GrowingCirclePredictor, GrowingCircleSettings
 from hypothesis import given, settings
@@ -58,7 +59,7 @@ def ego(x: float, y: float, velocity: float, heading: float = 0.0) -> FloatArray
 
 
 def follow(path: ReferencePath, state: FloatArray, steps: int) -> FloatArray:
-    return roll_out(path, state, lambda step, s, v: 0.0, VEHICLE, 0.1, steps).states
+    return PathFollower(path, VEHICLE, 0.1).roll_out(state, lambda step, s, v: 0.0, steps).states
 
 
 def test_path_projects_and_goes_on_straight_past_its_ends() -> None:
@@ -259,15 +260,14 @@ def test_idm_keeps_its_distance_to_a_slower_car() -> None:
         (None, (12.0, 14.0), 12.0),
     ],
 )
-def test_idm_wishes_for_what_the_goal_asks(
+def test_idm_desires_the_speed_that_the_goal_asks_for(
     region: Polygon | None, velocity: tuple[float, float] | None, expected: float
 ) -> None:
     goal = GoalState(first_step=50, last_step=50, region=region, velocity=velocity)
     scenario = straight_scenario(goals=[goal])
-    planner = IdmPlanner()
-    planner.reset(scenario.task, scenario.road_map, VEHICLE)
     seen = World(scenario, first_step=0, history=5).observation()
-    assert planner._wish(seen) == pytest.approx(expected, abs=1e-3)
+    found = IdmEpisode(IDM, scenario.task, VEHICLE).desired_velocity(seen)
+    assert found == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize("planner", [IdmPlanner(), BrakePlanner(), CruisePlanner()])

@@ -20,6 +20,7 @@ from dosplan.cli.compare import CompareCommand
 from dosplan.cli.evaluate import EvaluateCommand
 from dosplan.cli.listing import ListCommand
 from dosplan.cli.run import RunCommand
+from dosplan.cli.score import ScoreCommand
 from dosplan.system.errors import DosplanError
 
 __all__ = ["BAD_INPUT", "FAILED", "INTERRUPTED", "OK", "main"]
@@ -29,6 +30,7 @@ _BUILT_IN: Final[Mapping[str, Command]] = {
     "list": ListCommand(),
     "check": CheckCommand(),
     "compare": CompareCommand(),
+    "score": ScoreCommand(),
     "evaluate": EvaluateCommand(),
     "bench": BenchCommand(),
 }

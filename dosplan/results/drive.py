@@ -202,7 +202,7 @@ def find_drives(
     rows = [row for row in read_rows(folder.rows) if row.scenario == scenario and row.arm in arms]
     if not rows:
         raise FileError(f"{path} holds no finished episode of {scenario} in {' or '.join(arms)}")
-    recordings = [_recording(folder, row) for row in rows]
+    recordings = [find_recording(folder, row) for row in rows]
     if not any(recordings):
         return [(row, None) for row in rows]
     try:
@@ -239,8 +239,19 @@ def find_scenario(scenario: str, source: str) -> ScenarioRef:
     return refs[scenario]
 
 
-def _recording(folder: RunFolder, row: Score) -> Recording | None:
-    """An episode's file; None where it failed before there was anything to write."""
+def find_recording(folder: RunFolder, row: Score) -> Recording | None:
+    """Reads the file of an episode.
+
+    Args:
+        folder: The run folder.
+        row: The episode's row.
+
+    Returns:
+        Its recording; None where it failed before there was anything to write.
+
+    Raises:
+        FileError: The file is missing or broken.
+    """
     path = folder.recording(row.scenario, row.arm)
     if row.outcome is Outcome.PLANNER_FAILURE and not path.exists():
         return None

@@ -20,7 +20,7 @@ from dosplan.scoring.comfort import (
     MIN_ACCELERATION,
 )
 from dosplan.types import (
-    Episode,
+    DrivenEpisode,
     FloatArray,
     IntArray,
     Measure,
@@ -28,6 +28,7 @@ from dosplan.types import (
     Scenario,
     Score,
     SolveReport,
+    Tracks,
 )
 
 SLACK_SEEN: Final = 1e-3
@@ -42,13 +43,15 @@ class ScoredPart:
     Attributes:
         scenario: The scenario.
         episode: The whole episode.
+        tracks: The road users as they were driven.
         states: (K + 1, 5) ego states of the part.
         ego: (K + 1, 4) x, y, heading, velocity of the ego's centre.
         cycles: Indices of the planning cycles that a step of the part follows.
     """
 
     scenario: Scenario
-    episode: Episode
+    episode: DrivenEpisode
+    tracks: Tracks
     states: FloatArray
     ego: FloatArray
     cycles: IntArray
@@ -56,7 +59,8 @@ class ScoredPart:
     @property
     def reports(self) -> list[SolveReport]:
         """What the planner said of itself in each of ``cycles``."""
-        return [self.episode.plans[cycle].report for cycle in self.cycles]
+        reports = self.episode.reports
+        return [reports[cycle] for cycle in self.cycles]
 
 
 class Aggregate(StrEnum):

@@ -60,6 +60,7 @@ from dosplan.types import (
     USER_VELOCITY,
     Arm,
     CollisionClass,
+    DrivenEpisode,
     Episode,
     EpisodeEnd,
     FloatArray,
@@ -87,8 +88,22 @@ def score(scenario: Scenario, episode: Episode) -> Score:
     Returns:
         The episode's row.
     """
+    return score_driven(scenario, episode, episode.tracks)
+
+
+def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> Score:
+    """Scores what is known of an episode, from its file for instance.
+
+    Args:
+        scenario: The scenario that was driven.
+        episode: What the ego did, and what the planner said of itself.
+        tracks: The road users as they were driven.
+
+    Returns:
+        The episode's row.
+    """
     task, vehicle = scenario.task, scenario.task.vehicle
-    states, start, tracks = episode.states, episode.start_step, episode.tracks
+    states, start = episode.states, episode.start_step
     goal_step = _goal_step(task, states, start)
     if goal_step is not None:
         states = states[: goal_step - start + 1]
@@ -129,7 +144,7 @@ def score(scenario: Scenario, episode: Episode) -> Score:
 
     felt = comfort(states, scenario.dt)
     cycles = np.flatnonzero(episode.cycle_steps < start + driven)
-    part = ScoredPart(scenario, episode, states, ego, cycles)
+    part = ScoredPart(scenario, episode, tracks, states, ego, cycles)
     median, slowest = _cycle_times(episode, cycles)
     return Score(
         scenario=episode.scenario_id,
@@ -152,7 +167,7 @@ def score(scenario: Scenario, episode: Episode) -> Score:
         min_time_to_collision=min_time_to_collision(ego, vehicle, tracks, start),
         cycle_ms_p50=median,
         cycle_ms_p99=slowest,
-        fallback_cycles=sum(episode.plans[i].report.fallback is not None for i in cycles),
+        fallback_cycles=sum(report.fallback is not None for report in part.reports),
         error=episode.error if outcome is Outcome.PLANNER_FAILURE else None,
         traffic=episode.traffic,
         measures=measured(part),
@@ -245,7 +260,7 @@ def _progress(route: Route, ego: FloatArray) -> float:
     return float(last - first)
 
 
-def _cycle_times(episode: Episode, cycles: IntArray) -> tuple[float | None, float | None]:
+def _cycle_times(episode: DrivenEpisode, cycles: IntArray) -> tuple[float | None, float | None]:
     """Median and 99th percentile of the time of some full cycles, ms; None without a cycle."""
     if not cycles.size:
         return None, None

@@ -32,7 +32,7 @@ from dosplan.types.arrays import (
     IntArray,
     ShapeError,
 )
-from dosplan.types.episode import Arm, Episode, EpisodeEnd
+from dosplan.types.episode import Arm, DrivenEpisode, Episode, EpisodeEnd
 from dosplan.types.planning import (
     HISTORY_STEPS,
     Observation,
@@ -72,6 +72,7 @@ __all__ = [
     "Arm",
     "BoolArray",
     "CollisionClass",
+    "DrivenEpisode",
     "Episode",
     "EpisodeEnd",
     "FloatArray",

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Protocol
 
 import numpy as np
 
 from dosplan.types.arrays import EGO_SIZE, FloatArray, IntArray, ShapeError, frozen
-from dosplan.types.planning import Occupancy, Plan
+from dosplan.types.planning import Occupancy, Plan, SolveReport
 from dosplan.types.scenario import Tracks
 
 
@@ -74,3 +76,59 @@ class Episode:
             raise ShapeError(
                 f"Episode.occupancies has {len(self.occupancies)} entries, expected {c}"
             )
+
+    @property
+    def reports(self) -> tuple[SolveReport, ...]:
+        """What was said of each of the C plans."""
+        return tuple(plan.report for plan in self.plans)
+
+
+class DrivenEpisode(Protocol):
+    """What a score follows from, but for the road users: an ``Episode``, or what its file keeps.
+
+    The attributes are those of ``Episode``.
+    """
+
+    @property
+    def scenario_id(self) -> str:
+        """Id of the scenario."""
+
+    @property
+    def arm(self) -> Arm:
+        """Which arm was driven."""
+
+    @property
+    def traffic(self) -> str:
+        """Name of the traffic."""
+
+    @property
+    def start_step(self) -> int:
+        """Step of the first state."""
+
+    @property
+    def states(self) -> FloatArray:
+        """(K + 1, 5) driven ego states."""
+
+    @property
+    def end(self) -> EpisodeEnd:
+        """Why the simulation stopped."""
+
+    @property
+    def error(self) -> str | None:
+        """What went wrong in a planner failure, or None."""
+
+    @property
+    def cycle_steps(self) -> IntArray:
+        """(C,) step at which each planning cycle ran."""
+
+    @property
+    def predict_seconds(self) -> FloatArray:
+        """(C,) time of each prediction, s."""
+
+    @property
+    def plan_seconds(self) -> FloatArray:
+        """(C,) time of each plan, s."""
+
+    @property
+    def reports(self) -> Sequence[SolveReport]:
+        """What was said of each of the C plans."""

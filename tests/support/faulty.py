@@ -7,12 +7,21 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dosplan.api import NoSettings, OraclePredictor, Planner, Predictor
-from dosplan.types import EGO_SIZE, FloatArray, Observation, Occupancy, Plan, Tracks
+from dosplan.types import (
+    EGO_SIZE,
+    FloatArray,
+    Observation,
+    Occupancy,
+    Plan,
+    SolveReport,
+    SolveStatus,
+    Tracks,
+)
 from dosplan.vehicle import VehicleParameters
 
 HORIZON = 10
@@ -102,6 +111,25 @@ class LeakyPlanner(Planner):
         if self.broken:
             raise RuntimeError("broken for good")
         return coast(observation)
+
+
+class TiringPlanner(Planner):
+    """Says much of its plans, and raises at the sixth step of scenarios called ``Tiring``."""
+
+    name = "tiring-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        step = observation.step
+        if step == 5 and "_Tiring-" in observation.task.scenario_id:
+            raise RuntimeError("enough")
+        report = SolveReport(
+            SolveStatus.MAX_ITERATIONS if step % 4 == 3 else SolveStatus.SOLVED,
+            iterations=step,
+            slack=step / 7.0,
+            fallback="coast" if step % 4 == 3 else None,
+            road_slack=step / 300.0,
+        )
+        return replace(coast(observation, 0.1 * step), report=report)
 
 
 class FaultyPlanner(Planner):

@@ -1,0 +1,173 @@
+"""Scores a run again: from its episode files and its scenario files, without driving.
+
+The rows come out as they were to the last digit where scoring and scenarios are the same, on the
+same machine with the same libraries. An episode that failed before it had a file has nothing to be
+scored, and keeps its row.
+
+Files of versions before 0.5 hold cycle times and slacks in single precision: those columns keep
+the values of the row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
+
+from dosplan.results.drive import Drive, find_recording
+from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import RunManifest
+from dosplan.results.markdown import summary_markdown
+from dosplan.results.recording import Recording
+from dosplan.results.rows import read_run, write_rows
+from dosplan.results.summary import summarise_run, write_summary
+from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
+from dosplan.scoring.score import score_driven
+from dosplan.system.errors import one_line
+from dosplan.system.files import FileError, write_text
+from dosplan.types import Arm, Scenario, Score
+
+_INEXACT: Final = ("cycle_ms_p50", "cycle_ms_p99")
+_INEXACT_MEASURES: Final = ("max_slack", "slack_cycles", "max_road_slack")
+
+
+@dataclass(frozen=True)
+class RowChange:
+    """A row that came out differently.
+
+    Attributes:
+        scenario: Id of the scenario.
+        arm: The arm.
+        columns: Value before and now of each column that differs.
+    """
+
+    scenario: str
+    arm: Arm
+    columns: Mapping[str, tuple[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Rescored:
+    """A run that was scored again.
+
+    Attributes:
+        folder: The run folder.
+        manifest: Its ``run.json``.
+        rows: Its rows as they are now, in their order.
+        changes: Those that came out differently.
+        kept: How many rows were kept, as their episodes failed before they had a file.
+    """
+
+    folder: RunFolder
+    manifest: RunManifest
+    rows: tuple[Score, ...]
+    changes: tuple[RowChange, ...]
+    kept: int
+
+    def write(self) -> None:
+        """Writes the rows and the summary in place of those of the run.
+
+        Raises:
+            FileError: A file cannot be written.
+        """
+        write_rows(self.folder.rows, self.rows)
+        summary = summarise_run(self.folder, self.manifest, self.rows)
+        write_summary(self.folder, summary)
+        write_text(self.folder.summary_text, summary_markdown(summary))
+
+
+def rescore(path: Path, source: str | None = None) -> Rescored:
+    """Scores a finished run again. Nothing is written.
+
+    Args:
+        path: The run folder.
+        source: Where the scenarios lie now; where the run found them if None.
+
+    Returns:
+        The rows, and how they differ from those of the run.
+
+    Raises:
+        FileError: It is not the folder of a finished run, an episode file is missing or broken, or
+            a scenario cannot be found or read or is not the one that was driven.
+    """
+    manifest, before = read_run(path)
+    folder = RunFolder(path)
+    refs: Mapping[str, ScenarioRef] | None = None
+    now: list[Score] = []
+    kept = 0
+    for name, rows in groupby(before, lambda row: row.scenario):
+        episodes = [(row, find_recording(folder, row)) for row in rows]
+        scenario: Scenario | None = None
+        for row, recording in episodes:
+            if recording is None:
+                kept += 1
+                now.append(row)
+                continue
+            if refs is None:
+                refs = _found(source or manifest.config.source)
+            scenario = scenario or _load(refs, name, manifest.config.cache, source)
+            now.append(_scored(row, recording, scenario))
+    changes = [_change(*pair) for pair in zip(before, now, strict=True) if pair[0] != pair[1]]
+    return Rescored(folder, manifest, tuple(now), tuple(changes), kept)
+
+
+def _found(source: str) -> dict[str, ScenarioRef]:
+    try:
+        return {ref.id: ref for ref in find_scenarios(source)}
+    except ScenarioError as error:
+        raise FileError(f"{error}; name where the scenarios lie now with --source") from error
+
+
+def _load(refs: Mapping[str, ScenarioRef], name: str, cached: bool, source: str | None) -> Scenario:
+    if name not in refs:
+        raise FileError(
+            f"{source or 'the source of the run'} holds no scenario {name}; "
+            "name where it lies now with --source"
+        )
+    try:
+        return load_scenario(refs[name], cached=cached)
+    except ScenarioError as error:
+        raise FileError(str(error)) from error
+
+
+def _scored(row: Score, recording: Recording, scenario: Scenario) -> Score:
+    drive = Drive(row, recording, scenario)
+    try:
+        found = score_driven(scenario, recording, drive.tracks)
+    except (ValueError, KeyError) as error:  # What a damaged file says of its plans.
+        raise FileError(
+            f"the episode file of {row.scenario}, {row.arm}, cannot be scored: {one_line(error)}"
+        ) from error
+    if recording.exact:
+        return found
+    old = {name: row.measures[name] for name in _INEXACT_MEASURES if name in row.measures}
+    times = {name: getattr(row, name) for name in _INEXACT}
+    return replace(found, measures={**found.measures, **old}, **times)
+
+
+def _change(before: Score, now: Score) -> RowChange:
+    old, new = before.columns(), now.columns()
+    columns = {
+        name: (old.get(name), new.get(name))
+        for name in {**old, **new}
+        if old.get(name) != new.get(name)
+    }
+    return RowChange(now.scenario, now.arm, columns)
+
+
+def change_lines(changes: Sequence[RowChange]) -> list[str]:
+    """Writes changes in plain words.
+
+    Args:
+        changes: The changes.
+
+    Returns:
+        A line for each row and column.
+    """
+    return [
+        f"{change.scenario}, {change.arm}: {name} was {before}, is {now}"
+        for change in changes
+        for name, (before, now) in change.columns.items()
+    ]

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from dosplan.geometry import ellipse_extent
 from dosplan.types import BoolArray, FloatArray, IntArray, Occupancy
 from dosplan_mpc.config import SetSettings
 from dosplan_mpc.stage import EMPTY_SLOT, Slot
@@ -130,9 +131,7 @@ def superellipse_axes(
     """
     half = footprint / 2.0
     a, b = semi_axes[..., 0], semi_axes[..., 1]
-    along = np.hypot(a * np.cos(turn), b * np.sin(turn))
-    across = np.hypot(a * np.sin(turn), b * np.cos(turn))
-    axes = np.stack([half[..., 0] + along, half[..., 1] + across], axis=-1) + radius
+    axes = half + ellipse_extent(semi_axes, turn) + radius
     # Directions of the fan are even in coordinates in which the superellipse is as long as wide.
     nx, ny = np.cos(_FAN) / axes[..., 0, None], np.sin(_FAN) / axes[..., 1, None]
     cos, sin = np.cos(turn)[..., None], np.sin(turn)[..., None]

@@ -6,9 +6,6 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from dosplan_net.commands import (
-    DATA as DATA,  # For environments that were installed before the command moved.
-)
 from dosplan_net.commands import chosen_parts, read_training, say, say_best, train_network
 
 from dosplan.cli.command import CommandError

@@ -123,7 +123,7 @@ def summarise_rows(folder: RunFolder, manifest: RunManifest, rows: Sequence[Scor
     )
     for arm, found in figures.items():
         found |= {
-            metric.key: old[arm.value][metric.key]
+            metric.key: old.get(arm.value, {}).get(metric.key)
             for metric in metrics.METRICS
             if metric.aggregate.percentile is not None
         }

@@ -16,21 +16,24 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
+import numpy as np
+
 from dosplan.results.comparison import Change, Comparison
 from dosplan.results.manifest import RunManifest, RunSettings
 from dosplan.results.markdown import markdown
 from dosplan.results.paired import Difference
+from dosplan.results.recording import Recording
 from dosplan.results.rows import LATER
 from dosplan.results.summary import ArmSummary, RunTitle, Summary
 from dosplan.scoring import metrics
 from dosplan.system.provenance import Machine
-from dosplan.types import Score
+from dosplan.types import Score, Tracks
 
 PAGE: Final = Path(__file__).with_name("run-folder.md")
 METRICS_PAGE: Final = PAGE.with_name("metrics.md")
 CLASSES: Final[tuple[type, ...]] = (
-    RunManifest, RunSettings, Machine, Score, Summary, RunTitle, Comparison, Difference,
-    Change,
+    RunManifest, RunSettings, Machine, Score, Recording, Tracks, Summary, RunTitle, Comparison,
+    Difference, Change,
 )  # fmt: skip
 _FLATTENED: Final = {"measures": "name of a measured metric", "differences": "name of a metric"}
 """Fields whose entries are keys themselves."""
@@ -118,6 +121,9 @@ def _value_type(hints: Mapping[str, Any], name: str) -> str:
 def _type_name(hint: Any) -> str:
     if hint in _NAMES:
         return _NAMES[hint]
+    if get_origin(hint) is np.ndarray:
+        (dtype,) = get_args(get_args(hint)[1])
+        return f"array of `{np.dtype(dtype)}`"
     if get_origin(hint) in (Union, types.UnionType):
         return " or ".join(_type_name(part) for part in get_args(hint))
     if get_origin(hint) is tuple:

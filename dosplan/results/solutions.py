@@ -15,7 +15,7 @@ from pathlib import Path
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import Recording
 from dosplan.scenario import ScenarioRef
-from dosplan.scenario.commonroad.solution import Drive, solution_xml
+from dosplan.scenario.commonroad.solution import Trajectory, solution_xml
 from dosplan.system.files import file_name, write_bytes
 from dosplan.types import Arm
 
@@ -47,9 +47,9 @@ def write_solutions(folder: RunFolder, refs: Iterable[ScenarioRef], arms: Sequen
                 write_bytes(place, solution_xml(path, drives, date))
 
 
-def _drive(file: Path) -> Drive:
+def _drive(file: Path) -> Trajectory:
     recording = Recording.load(file)
-    return Drive(
+    return Trajectory(
         start_step=recording.start_step,
         states=recording.states,
         inputs=recording.inputs,

@@ -19,7 +19,7 @@ import pytest
 from dosplan.plugins.registry import create_planner, create_predictor
 from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
 from dosplan.scenario.commonroad.document import read_file, unpacked
-from dosplan.scenario.commonroad.solution import Drive, solution_xml
+from dosplan.scenario.commonroad.solution import Trajectory, solution_xml
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
 from dosplan.types import Arm, Score
@@ -82,12 +82,12 @@ def _passes(checker: Any, check: Callable[[], Any]) -> bool:
         return False
 
 
-def drive(ref: ScenarioRef, planner: str) -> tuple[Score, Drive]:
+def drive(ref: ScenarioRef, planner: str) -> tuple[Score, Trajectory]:
     scenario = load_scenario(ref, cached=True)
     predictor = create_predictor("constant-velocity", seed=0)
     episode = run_episode(scenario, create_planner(planner, seed=0), predictor, Arm.WITH_DOS)
     row = score(scenario, episode)
-    return row, Drive(episode.start_step, episode.states, episode.inputs, 1.0)
+    return row, Trajectory(episode.start_step, episode.states, episode.inputs, 1.0)
 
 
 def agrees(row: Score, said: dict[str, bool]) -> None:
@@ -123,14 +123,14 @@ def test_verdicts_on_recorded_traffic_are_those_of_the_score() -> None:
         agrees(row, verdicts(ref.path, solution_xml(ref.path, {None: driven}, DATE)))
 
 
-def _two_egos(gap: float) -> Iterator[tuple[int | None, Drive]]:
+def _two_egos(gap: float) -> Iterator[tuple[int | None, Trajectory]]:
     """Two egos of one file that coast side by side, ``gap`` m between their centres."""
     for name, y in ((5, 0.0), (3, gap)):
         inputs = np.zeros((10, 2))
         states = [VEHICLE.state_at(np.array([10.0, y]), 0.0, 10.0)]
         for u in inputs:
             states.append(VEHICLE.step(states[-1], u, 0.1))
-        yield name, Drive(2, np.array(states), inputs, 1.0)
+        yield name, Trajectory(2, np.array(states), inputs, 1.0)
 
 
 def _shared(path: Path, gap: float) -> Path:
@@ -165,12 +165,12 @@ def test_each_check_fails_for_its_own_reason(tmp_path: Path) -> None:
     path = _shared(tmp_path / "y.xml", gap=3.5)
     drives = dict(_two_egos(gap=3.5))
     good = drives[5]
-    late = Drive(3, good.states, good.inputs, 1.0)
+    late = Trajectory(3, good.states, good.inputs, 1.0)
     said = verdicts(path, solution_xml(path, {**drives, 5: late}, DATE))
     assert not said["start"]
     jumps = good.states.copy()
     jumps[5:, 0] += 0.1  # 10 cm in a step are beyond the 2 cm that the checker lets pass.
     said = verdicts(
-        path, solution_xml(path, {**drives, 5: Drive(2, jumps, good.inputs, 1.0)}, DATE)
+        path, solution_xml(path, {**drives, 5: Trajectory(2, jumps, good.inputs, 1.0)}, DATE)
     )
     assert [check for check in CHECKS if not said[check]] == ["feasible"]

@@ -16,7 +16,7 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.recording import Recording
 from dosplan.running.run import RunError
 from dosplan.scenario import ScenarioError
-from dosplan.scenario.commonroad.solution import Drive, solution_xml
+from dosplan.scenario.commonroad.solution import Trajectory, solution_xml
 from dosplan.types import Arm, FloatArray
 from dosplan.vehicle import VehicleParameters
 from tests.support.fault_runs import PLANNERS, STILL, configured, write_scenes
@@ -28,13 +28,13 @@ DATE = datetime(2026, 3, 1, 12, 30, 5, tzinfo=UTC)
 NAME = "ZAM_Test-1_1_T-1"
 
 
-def driven(steps: int, start_step: int = 0, seconds: float = 0.5) -> Drive:
+def driven(steps: int, start_step: int = 0, seconds: float = 0.5) -> Trajectory:
     """A drive through a bend that gets faster."""
     inputs = np.tile([0.1, 1.0], (steps, 1))
     states = [VEHICLE.state_at(np.array([10.0, 0.0]), 3.5, 10.0)]
     for u in inputs:
         states.append(VEHICLE.step(states[-1], u, 0.1))
-    return Drive(start_step, np.array(states), inputs, seconds)
+    return Trajectory(start_step, np.array(states), inputs, seconds)
 
 
 def read(xml: bytes) -> tuple[str, dict[int, tuple[list[int], FloatArray]]]:

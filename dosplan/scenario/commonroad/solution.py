@@ -32,7 +32,7 @@ _VEHICLE: Final = VehicleParameters()  # Vehicle 2, which MODEL names.
 
 
 @dataclass(frozen=True)
-class Drive:
+class Trajectory:
     """What was driven for one planning problem, in steps of 0.1 s.
 
     Attributes:
@@ -48,7 +48,7 @@ class Drive:
     seconds: float
 
 
-def solution_xml(path: Path, drives: Mapping[int | None, Drive], date: datetime) -> bytes:
+def solution_xml(path: Path, drives: Mapping[int | None, Trajectory], date: datetime) -> bytes:
     """Writes what was driven in a scenario file as a CommonRoad solution.
 
     The states are those at the file's own steps; between two steps of 0.1 s they follow from the
@@ -107,7 +107,7 @@ def _listed(name: str, count: int) -> str:
     return name if count == 1 else f"[{','.join([name] * count)}]"
 
 
-def _trajectory(problem: int, drive: Drive, resampling: Resampling) -> ElementTree.Element:
+def _trajectory(problem: int, drive: Trajectory, resampling: Resampling) -> ElementTree.Element:
     element = ElementTree.Element("ksTrajectory", planningProblem=str(problem))
     states = _at_file_steps(drive, resampling)
     first = (drive.start_step * resampling.every + resampling.begin) // resampling.times
@@ -126,7 +126,7 @@ def _trajectory(problem: int, drive: Drive, resampling: Resampling) -> ElementTr
     return element
 
 
-def _at_file_steps(drive: Drive, resampling: Resampling) -> FloatArray:
+def _at_file_steps(drive: Trajectory, resampling: Resampling) -> FloatArray:
     """(K', 5) states at the steps of the file."""
     shares = np.arange(1, resampling.every) / resampling.every
     between = [

@@ -72,12 +72,18 @@ class Traffic(ABC):
         name: Name that goes into results; a changed behaviour is a new name.
         settings: The frozen dataclass of its options; the constructor takes an instance of it.
         as_recorded: Whether everybody drives as recorded, whatever the ego does. The tracks of an
-            episode are then those of the scenario, and only then may a predictor be shown them.
+            episode are then those of the scenario, and only then may a predictor be shown them. A
+            subclass does not inherit it, as it may depart from the recording.
     """
 
     name: ClassVar[str]
     settings: ClassVar[type[Any]] = NoSettings
     as_recorded: ClassVar[bool] = False
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if "as_recorded" not in vars(cls):
+            cls.as_recorded = False
 
     def __init__(self, *, seed: int = 0, settings: Any = NoSettings()) -> None:
         """Keeps the seed; every random choice of a traffic must come from it and the scenario.

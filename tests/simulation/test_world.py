@@ -40,7 +40,6 @@ class _Handed(Replay):
     """A replay that does not say that it is one."""
 
     name = "handed-v1"
-    as_recorded = False
 
 
 def test_what_a_replay_hands_over_step_by_step_is_the_recording() -> None:
@@ -52,6 +51,15 @@ def test_what_a_replay_hands_over_step_by_step_is_the_recording() -> None:
     order = [driven.ids.tolist().index(name) for name in recorded.ids]
     np.testing.assert_array_equal(driven.states[order], recorded.states)
     np.testing.assert_array_equal(driven.valid[order], recorded.valid)
+
+
+def test_who_builds_on_a_replay_is_not_taken_for_one() -> None:
+    assert Replay.as_recorded
+    assert not _Handed.as_recorded
+    scenario = busy_scenario()
+    world = World(scenario, _Handed())
+    world.step(COAST)
+    assert world.tracks.steps == world.now + 1 < scenario.tracks.steps
 
 
 def test_an_observation_is_the_recordings_past_in_the_recordings_order() -> None:

@@ -385,10 +385,11 @@ def _within_limits(trace: Trace) -> None:
     task = busy_scenario().task
     vehicle, dt = task.vehicle, task.dt
     for plan in trace.results:
-        for step, (state, u) in enumerate(zip(plan.states[:-1], plan.inputs, strict=True)):
-            excess = float(np.max(np.abs(vehicle.clip_input(state, u, dt) - u)))
-            if excess > INPUT_TOLERANCE:
-                raise _BrokenError(
-                    f"Plan.inputs ask at step {step} for {excess:.2g} more than the vehicle "
-                    "can do; limit them with VehicleParameters.clip_input"
-                )
+        possible = vehicle.clip_input(plan.states[:-1], plan.inputs, dt)
+        excess = np.abs(possible - plan.inputs).max(axis=1)
+        if np.any(excess > INPUT_TOLERANCE):
+            step = int(np.argmax(excess > INPUT_TOLERANCE))
+            raise _BrokenError(
+                f"Plan.inputs ask at step {step} for {excess[step]:.2g} more than the vehicle "
+                "can do; limit them with VehicleParameters.clip_input"
+            )

@@ -1,4 +1,4 @@
-"""``cruise-v1``: keeps its speed along the route and sees nobody.
+"""``cruise-v1``: keeps its speed along the route, whoever is in the way.
 
 A scenario that this planner solves asks for no interaction.
 """

@@ -61,9 +61,9 @@ class PathSettings:
     Attributes:
         edge_reach: An edge counts this far along the path, so that a corner between two stations
             is not missed, m.
-        swing: Room that a bend lends beyond the lane's edge, by its curvature, m2.
-        swing_reach: How far before and after a bend it is lent, m.
-        widest_swing: The most that is lent, m.
+        swing: Room beyond the lane's edge that the ego may use in a bend, by its curvature, m2.
+        swing_reach: How far before and after a bend it may do so, m.
+        widest_swing: Largest such room, m.
         end_margin: Distance that the ego's front keeps from the end of the map, m.
     """
 
@@ -121,8 +121,9 @@ class SpeedSettings:
         deadline_reserve: Time to spare before a goal's deadline, s.
         depth_margin: Distance from the ends of a goal's region that is aimed at, m.
         depth_share: The same as a share of the region's length, where that is less.
-        crawl: Speed below which whoever is too early for a goal waits for it, m/s.
-        waiting: Factor of ``station_weight`` while waiting: beyond the region's end is too far.
+        crawl: Reference speed below which an ego that is too early for a goal waits for it, m/s.
+        waiting: Factor of ``station_weight`` while waiting, so that the ego does not roll beyond
+            the region's end.
         velocity_margin: Share of a goal's velocity window that is kept from both its ends.
         approach_seconds: Time of driving over which the goal's offset is taken up, s.
         shortest_approach: Shortest way over which it is, m.

@@ -13,6 +13,8 @@ from dosplan.types import (
     EGO_HEADING,
     EGO_SIZE,
     EGO_VELOCITY,
+    EGO_X,
+    EGO_Y,
     FloatArray,
     Observation,
     Occupancy,
@@ -190,7 +192,7 @@ class MpcEpisode:
         return release(sets, self._sampler.disc_centres(observation.ego), self._dt, config.sets)
 
     def _attempts(self, step: int, scene: _Scene) -> tuple[list[_Attempt], Guess | None]:
-        """Solves from the last plan, and from a sampled candidate where that promises more.
+        """Solves from the last plan, and from a sampled candidate where that is rated better.
 
         Returns:
             The attempts, and the best candidate where candidates were looked at.
@@ -206,8 +208,8 @@ class MpcEpisode:
             return attempts, None
         candidate, cost = self._best_candidate(scene)
         bar = np.inf if warm is None else self._cost_of(warm, scene)
-        promising = cost < bar - max(settings.worth_it, settings.better * bar)
-        if promising or not _any_usable(attempts):
+        better = cost < bar - max(settings.worth_it, settings.better * bar)
+        if better or not _any_usable(attempts):
             attempts.append(self._solve(scene, candidate))
         return attempts, candidate
 
@@ -250,7 +252,7 @@ class MpcEpisode:
     def _remember(self, step: int, solution: Solution, slack: float) -> _LastCycle:
         """What the next cycle begins with."""
         states = solution.states
-        way = np.hypot(np.diff(states[:, 0]), np.diff(states[:, 1]))
+        way = np.hypot(np.diff(states[:, EGO_X]), np.diff(states[:, EGO_Y]))
         expected = self._arclength + np.concatenate([[0.0], np.cumsum(way)])
         arclength, _ = self._path.project(states[:, :2], expected)
         return _LastCycle(
@@ -310,7 +312,7 @@ def _any_usable(attempts: list[_Attempt]) -> bool:
 
 
 def _report(attempts: list[_Attempt], best: _Attempt) -> SolveReport:
-    """What is told of a cycle: times and iterations of all attempts, the rest of the best one."""
+    """Times and iterations of all attempts of a cycle, and the rest of the best one."""
     solution = best.solution
     touched = solution.set_slack.max(axis=0)[: len(best.sets.ids)] > _SEEN
     return SolveReport(

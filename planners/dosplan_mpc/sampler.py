@@ -32,7 +32,7 @@ from dosplan_mpc.stage import (
 )
 
 _CLOSEST_TO_CENTRE = 0.2  # Smallest 1 - kappa d: beyond a bend's centre the path means nothing.
-_STEEPEST_RATED = 1.0  # Largest angle to the path that the rating of a candidate reckons with, rad.
+_STEEPEST_RATED = 1.0  # Angle to the path, rad, beyond which the rating takes the angle for this.
 
 
 @dataclass(frozen=True)

@@ -212,7 +212,7 @@ class SpeedPlanner:
             reach = max(reach, window.end - ego.position + _BEYOND_GOAL)
         grid = ego.position + np.arange(0.0, reach, _GRID)
         styles = (config.calm, config.hurried, config.utmost)
-        # Whoever is followed closely does not dawdle in bends either.
+        # With a follower close behind, bends are taken quicker as well.
         for style in styles[int(traffic.pressed) :]:
             limit, target = self._limit(window, grid, style), traffic.cruise
             if window is None:

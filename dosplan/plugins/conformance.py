@@ -17,6 +17,7 @@ import numpy as np
 
 from dosplan.api import NoPlanError, OraclePredictor, Planner, PluginSpec, PluginT, Predictor
 from dosplan.plugins.short_drives import (
+    HORIZON,
     Trace,
     another_future,
     changed_fields,
@@ -33,7 +34,6 @@ from dosplan.system.errors import failure_place, one_line
 from dosplan.types import Observation, Occupancy, Scenario
 
 SEED = 7
-HORIZON = 40
 SLOW_SECONDS = 2.0  # Median time of a call; a cycle of the benchmark is 0.1 s.
 MODEL_TOLERANCE = 0.05  # m, rad and m/s between a plan's states and those of the vehicle model.
 INPUT_TOLERANCE = 0.05  # rad/s and m/s2 beyond what the actuators deliver.
@@ -353,12 +353,12 @@ def _in_time(trace: Trace) -> None:
 
 
 def _arms_agree(drive: _Drive) -> None:
-    def nobody(observation: Observation) -> Occupancy:
-        sets = growing_sets(observation)
+    def nobody(observation: Observation, horizon: int) -> Occupancy:
+        sets = growing_sets(observation, horizon)
         return replace(sets, valid=np.zeros_like(sets.valid))
 
     with_sets = drive(busy_scenario(), sets=nobody)
-    without = drive(busy_scenario(), sets=lambda observation: nobody(observation).without_sets())
+    without = drive(busy_scenario(), sets=lambda *asked: nobody(*asked).without_sets())
     if changed := changed_fields(with_sets, without):
         raise _BrokenError(
             f"with nobody predicted, the two arms differ in {', '.join(changed)}; leave out road "

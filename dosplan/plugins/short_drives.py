@@ -18,6 +18,7 @@ from dosplan.simulation.world import World
 from dosplan.types import HISTORY_STEPS, Observation, Occupancy, Plan, Scenario
 
 CYCLES = 3
+HORIZON = 40  # Steps that are predicted for a planner, at least.
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def drive_planner(
     scenario: Scenario,
     *,
     visible: int = HISTORY_STEPS,
-    sets: Callable[[Observation], Occupancy] = growing_sets,
+    sets: Callable[[Observation, int], Occupancy] = growing_sets,
 ) -> Trace:
     """Drives a planner for a few cycles in closed loop.
 
@@ -56,7 +57,7 @@ def drive_planner(
         planner: The planner; ``reset`` is called here.
         scenario: What to drive.
         visible: Steps that road users have been on the scene for.
-        sets: Makes the sets that it is handed.
+        sets: Makes the sets that it is handed, for a number of steps.
 
     Returns:
         What it did.
@@ -68,7 +69,7 @@ def drive_planner(
     touched: list[str] = []
     for _ in range(CYCLES):
         observation = _observation(world, visible)
-        occupancy = sets(observation)
+        occupancy = sets(observation, max(HORIZON, planner.look_ahead))
         before = copy.deepcopy((observation, occupancy))
         plans.append(planner.plan(observation, occupancy))
         seconds.append(planner.last_seconds)

@@ -16,6 +16,7 @@ from dosplan_simple.predictors import ConstantVelocityPredictor
 from dosplan.api import NoSettings, Planner, PluginSpec, PredictorSettings
 from dosplan.plugins import conformance
 from dosplan.plugins.conformance import Report, check_planner, check_predictor
+from dosplan.plugins.short_drives import HORIZON
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
 from dosplan.vehicle import VehicleParameters
 from tests.support.peers import skip_where_missing
@@ -330,6 +331,18 @@ def test_settings_are_checked_with_their_plugin() -> None:
     assert "Plan.inputs ask at step 0 for" in found["actuator_limits"]
 
 
+class FarSighted(GoodPlanner):
+    look_ahead = 60
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        assert occupancy.horizon == 60
+        return super().compute_plan(observation, occupancy)
+
+
+def test_a_planner_is_handed_sets_as_far_as_it_looks_ahead() -> None:
+    assert check_planner(FarSighted).failures == ()
+
+
 def test_a_predictor_is_checked_at_two_horizons() -> None:
     seen: list[int] = []
 
@@ -339,7 +352,7 @@ def test_a_predictor_is_checked_at_two_horizons() -> None:
             seen.append(settings.horizon)
 
     assert check_predictor(Told).ok
-    assert set(seen) == {conformance.HORIZON, 1}
+    assert set(seen) == {HORIZON, 1}
 
 
 class Prepared(GoodPlanner):

@@ -265,9 +265,10 @@ def test_figures_do_not_depend_on_the_number_of_workers(recordings: Path) -> Non
     assert one == two
     assert seen == [(0, 3), (1, 3), (2, 3), (3, 3)]
     assert one["data"]["evaluated"] == 3
+    base = {"predictor": "constant-velocity", "options": {"horizon": 40}}
     assert one["data"]["methods"][1] == {
         "label": "r=1", "predictor": "fixed-circle", "options": {"r": 1.0},
-        "name": "fixed-circle-v1",
+        "name": "fixed-circle-v1", "settings": {"horizon": 40, "base": base, "r": 1.0},
     }  # fmt: skip
 
 

@@ -20,7 +20,7 @@ from dosplan_net.training.train import NetTraining
 from dosplan.cli.command import CommandError
 from dosplan.cli.main import main
 from dosplan.evaluation.methods import MethodError, read_methods
-from dosplan.plugins.registry import RegistryError, find_planner
+from dosplan.plugins.registry import RegistryError, create_planner, find_planner, find_predictor
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunSettings, read_manifest
 from dosplan.results.recording import Recording, load_cycle_ms
@@ -311,16 +311,46 @@ def test_a_module_that_answers_for_its_names_may_fail(tmp_path: Path) -> None:
         find_planner(f"{file}:Mine")
 
 
-@pytest.mark.parametrize("line", ["settings = 3", "settings = int", "__init__ = None"])
-def test_a_planner_that_does_not_tell_its_options_is_refused(tmp_path: Path, line: str) -> None:
+_GREEDY = "Greedy = dataclasses.make_dataclass('Greedy', ['gap'], frozen=True)"
+_LOOSE = "Loose = dataclasses.make_dataclass('Loose', [('gap', int, 1)])"
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (["settings = 3"], "its settings are 3, expected a frozen dataclass"),
+        (["settings = int"], "its settings are <class 'int'>, expected a frozen dataclass"),
+        ([_LOOSE, "settings = Loose"], "write @dataclass(frozen=True) before Loose"),
+        ([_GREEDY, "settings = Greedy"], "its settings cannot be made without arguments (TypeErr"),
+        (["__init__ = None"], "cannot be built: TypeError"),
+        (["def __init__(self, seed): pass"], "got an unexpected keyword argument 'settings'"),
+    ],
+)
+def test_a_planner_without_proper_settings_is_refused(
+    tmp_path: Path, lines: list[str], message: str
+) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
-        "from dosplan.api import Planner\n\n\n"
-        f"class Mine(Planner):\n    name = 'mine-v1'\n    {line}\n\n"
-        "    def compute_plan(self, observation, occupancy):\n        return None\n"
+        "import dataclasses\nfrom dosplan.api import Planner\n\n\n"
+        "class Mine(Planner):\n    name = 'mine-v1'\n"
+        + "".join(f"    {line}\n" for line in lines)
+        + "    def compute_plan(self, observation, occupancy):\n        return None\n"
     )
-    with pytest.raises(RegistryError, match="does not tell its options: TypeError"):
-        find_planner(f"{file}:Mine")
+    with pytest.raises(RegistryError) as caught:
+        create_planner(f"{file}:Mine", 0)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_predictor_whose_settings_have_no_horizon_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from dosplan.api import NoSettings, Predictor\n\n\n"
+        "class Mine(Predictor):\n    name = 'mine-v1'\n    settings = NoSettings\n"
+        "    def compute_occupancy(self, observation):\n        return None\n"
+    )
+    with pytest.raises(RegistryError, match="let NoSettings inherit from PredictorSettings"):
+        find_predictor(f"{file}:Mine")
 
 
 def test_an_exception_without_a_message_is_still_a_line() -> None:

@@ -184,10 +184,15 @@ def _plain_value(value: Any, hint: Any, name: str) -> Any:
     if isinstance(hint, type) and issubclass(hint, Enum) and value not in [m.value for m in hint]:
         raise refuse(" or ".join(repr(member.value) for member in hint))
     try:
-        return msgspec.convert(value, hint, strict=True, dec_hook=_own_type)
+        found = msgspec.convert(value, hint, strict=True, dec_hook=_own_type)
+    except UnicodeError:
+        raise refuse("a text that can be written down") from None
     except msgspec.ValidationError as error:
         wanted = str(error).removeprefix("Expected ").partition(", got ")[0]
         raise refuse(wanted.replace("`", "").replace("null", "None")) from None
+    if isinstance(found, float) and not math.isfinite(found):
+        raise refuse("a finite number")
+    return found
 
 
 def _own_type(kind: type[Any], value: Any) -> Any:

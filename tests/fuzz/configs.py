@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import random
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,6 +15,8 @@ from dosplan_net.training.train import NetTraining
 
 from dosplan.cli.command import BAD_INPUT
 from dosplan.evaluation.methods import build, check_labels, read_methods
+from dosplan.plugins.registry import PluginKind, choose_plugin, record
+from dosplan.system.yaml_text import YamlError, parse_yaml
 from tests.fuzz.byte_damage import damage_binary
 from tests.fuzz.harness import Case, one_line_at_most, shell
 
@@ -28,6 +32,18 @@ SCALARS: Final = (
     "{<<: [1]}", "? [1]", "? {a: b}\n: c", "{{a: b}: c}", "[" * 3000, "[" * 500 + "]" * 500,
     "- " * 3000, "%YAML 9.9", "---\n---", "\t", "\0", "\ufeff", "a: b: c", "@", "`", "|", ">",
     "!!str",
+)  # fmt: skip
+_OPTIONS: Final = (
+    (PluginKind.PREDICTOR, "dos", (
+        "horizon", "sets", "scale", "coverage", "simultaneous", "base", "base.horizon", "network",
+        "threads", "engine", "base.base",
+    )),
+    (PluginKind.PREDICTOR, "growing-circle", ("z", "base", "base.horizon", "base.options", "")),
+    (PluginKind.PREDICTOR, "error-circle", ("table", "z", "base")),
+    (PluginKind.PLANNER, "mpc", (
+        "horizon", "calm", "calm.lateral", "sampler", "sampler.accelerations", "tolerance",
+        "sampler.lane.x", "calm..x",
+    )),
 )  # fmt: skip
 _LAUGHS: Final = "[&a0 [x, x], " + ", ".join(
     f"&a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)
@@ -63,6 +79,28 @@ def strange_settings(case: Case) -> None:
     out = str(case.folder / "run")
     setting = f"{name}={value}".replace("\0", "")  # No argument can hold one.
     shell("run", source, "--out", out, "--set", setting, codes=[BAD_INPUT])
+
+
+def strange_options(case: Case) -> None:
+    """Options of plug-ins, and of plug-ins within them; what is taken can be recorded."""
+    kind, name, known = case.random.choice(_OPTIONS)
+    values = [*_values(), {"predictor": "net"}, {"predictor": "none", "options": {"horizon": {}}}]
+    picked = [*case.random.sample(known, case.random.randint(1, 2))]
+    options = {option: case.random.choice([*values, "dos", "none", 0.5]) for option in picked}
+    case.about = f"{name}: {options!r:.100}"
+    with one_line_at_most(name):
+        chosen = choose_plugin(kind, name, options)
+        assert choose_plugin(kind, name, record(chosen)) == chosen
+
+
+@cache
+def _values() -> tuple[Any, ...]:
+    """What the scalars are that are YAML."""
+    values = []
+    for text in SCALARS:
+        with suppress(YamlError):
+            values.append(parse_yaml(text))
+    return tuple(values)
 
 
 def _damaged(case: Case, path: Path) -> Path:

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import pytest
 
-from tests.fuzz.configs import damaged_methods, damaged_trainings, strange_settings
+from tests.fuzz.configs import damaged_methods, damaged_trainings, strange_options, strange_settings
 from tests.fuzz.harness import Attempt
 from tests.fuzz.plugins import broken_plugins, rude_plugins
 from tests.fuzz.run_folders import damaged_manifests, damaged_recordings, damaged_rows
@@ -43,6 +43,7 @@ FAMILIES: Final = (
     Family(damaged_archives, 100, 8),
     Family(damaged_methods, 150, 10),
     Family(damaged_trainings, 120, 8),
+    Family(strange_options, 400, 40),
     Family(strange_settings, 120, 8),
     Family(broken_plugins, 100, 6),
     Family(rude_plugins, 140, 8),

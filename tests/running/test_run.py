@@ -164,7 +164,11 @@ def test_a_run_of_another_default_is_another_run(scenes: Path, tmp_path: Path) -
     config = _config(tmp_path / "run", scenes, "TunedPlanner", limit=1)
     folder = run_here(config)
     manifest = read_json(folder.manifest)
-    assert manifest["settings"] == {"planner": {"acceleration": 0.0}, "predictor": {"horizon": 40}}
+    assert manifest["settings"] == {
+        "planner": {"acceleration": 0.0},
+        "predictor": {"horizon": 40},
+        "traffic": {},
+    }
     manifest["settings"]["planner"]["acceleration"] = 1.0  # As an older planner may have had it.
     folder.manifest.write_text(json.dumps(manifest))
     with pytest.raises(RunError, match=r"a run with another value of planner\.acceleration;"):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dosplan.scenario import ScenarioError, find_scenarios
+from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
 from tests.support.scenes import Problem, write_scenario_xml
 
 
@@ -32,13 +32,34 @@ def test_hidden_files_are_passed_over(tmp_path: Path) -> None:
     assert [ref.path.name for ref in find_scenarios(tmp_path)] == ["a.xml"]
 
 
+def test_files_of_one_id_are_told_apart_by_their_paths(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    name = "ZAM_A-1_1_T-1"
+    write_scenario_xml(tmp_path / "alone.xml", benchmark_id="ZAM_B-1_1_T-1")
+    write_scenario_xml(tmp_path / "b" / "first.xml", benchmark_id=name)
+    two = [Problem(id=100), Problem(id=101)]
+    write_scenario_xml(tmp_path / "second.xml", problems=two, benchmark_id=name)
+    refs = find_scenarios(tmp_path)
+    assert [ref.id for ref in refs] == [
+        "ZAM_B-1_1_T-1",
+        f"{name}:b/first.xml",
+        f"{name}:second.xml@100",
+        f"{name}:second.xml@101",
+    ]
+    assert [ref.scenario for ref in refs[1:]] == [
+        f"{name}:b/first.xml",
+        *[f"{name}:second.xml"] * 2,
+    ]
+    assert [load_scenario(ref).id for ref in refs] == [ref.id for ref in refs]
+
+
 def test_a_planning_problem_that_is_named_twice_is_told(tmp_path: Path) -> None:
     path = tmp_path / "a.xml"
     write_scenario_xml(
         path, problems=[Problem(id=100), Problem(id=100)], benchmark_id="ZAM_A-1_1_T-1"
     )
     with pytest.raises(ScenarioError, match="names planning problem 100 twice; give one another"):
-        find_scenarios(path)
+        load_scenario(*find_scenarios(path))
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])

@@ -351,9 +351,6 @@ def test_folder_is_searched_sorted_and_without_solutions(tmp_path: Path) -> None
     (tmp_path / "b" / "solution.xml").write_text("<CommonRoadSolution/>")
     (tmp_path / "notes.txt").write_text("x")
     assert [ref.id for ref in find_scenarios(tmp_path)] == ["ZAM_B-1_1_T-1", "2", "ZAM_A-1_1_T-1"]
-    write_scenario_xml(tmp_path / "d.xml", benchmark_id="ZAM_A-1_1_T-1")
-    with pytest.raises(ScenarioError, match="same id"):
-        find_scenarios(tmp_path)
 
 
 def test_nothing_found(tmp_path: Path) -> None:

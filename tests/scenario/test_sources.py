@@ -9,8 +9,11 @@ import stat
 import tarfile
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -129,10 +132,50 @@ def test_a_list_that_cannot_be_used_is_one_line(folder: Path) -> None:
         find_scenarios(f"@{listing}")
 
 
-def test_two_files_of_one_scenario_are_refused_however_many_problems(folder: Path) -> None:
-    write_scenario_xml(folder / "c.xml", benchmark_id=B)
-    with pytest.raises(ScenarioError, match=f"has the same id, {B}, as"):
-        find_scenarios(folder)
+@pytest.fixture
+def served(folder: Path) -> Iterator[tuple[str, list[int]]]:
+    """The URL of a folder, and the codes that its server answered."""
+    codes: list[int] = []
+
+    class Handler(SimpleHTTPRequestHandler):
+        def log_request(self, code: int | str = "-", size: int | str = "-") -> None:
+            codes.append(int(code))
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Keeps quiet."""
+
+    handler = partial(Handler, directory=str(folder.parent))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}", codes
+        server.shutdown()
+        thread.join()
+
+
+def test_an_archive_behind_a_url_is_fetched_once(
+    folder: Path, served: tuple[str, list[int]]
+) -> None:
+    url, codes = served
+    archive = pack(folder, "two sets.zip")
+    wanted = f"{url}/two%20sets.zip"
+    refs = find_scenarios(wanted)
+    assert [ref.id for ref in refs] == [ref.id for ref in find_scenarios(archive)]
+    assert find_scenarios(wanted) == refs
+    assert codes == [200, 304]
+    assert load_scenario(refs[0]).id == A
+
+
+def test_a_file_behind_a_url(folder: Path, served: tuple[str, list[int]]) -> None:
+    (ref,) = find_scenarios(f"{served[0]}/{folder.name}/a.xml")
+    assert ref.id == load_scenario(folder / "a.xml").id
+
+
+def test_a_url_that_gives_nothing_is_one_line(served: tuple[str, list[int]]) -> None:
+    with pytest.raises(ScenarioError, match=r"none\.zip: .* \(the server answers 404"):
+        find_scenarios(f"{served[0]}/none.zip")
+    with pytest.raises(ScenarioError, match=r"cannot be fetched \(.*refused\); fetch it yourself"):
+        find_scenarios("http://127.0.0.1:9/a.zip")
 
 
 def pack(folder: Path, name: str) -> Path:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -21,8 +22,9 @@ class ScenarioRef:
     Attributes:
         path: The scenario file; for one behind a URL, what ``universal-pathlib`` makes of it.
         id: Benchmark id, with ``@<problem id>`` appended where the file holds several planning
-            problems; the file's stem where it cannot be read, or the file's path in the source
-            where that stem is taken.
+            problems, and ``:<path in the source>`` before that where several files have the same
+            one; the file's stem where it cannot be read, or the file's path in the source where
+            that stem is taken.
         problem_id: The planning problem, or None where the file holds one only.
     """
 
@@ -54,6 +56,8 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
               unpacked into the cache (``dosplan.scenario.sources.archives``);
             * ``@LIST``, a text file that names a path or an id on each line
               (``dosplan.scenario.sources.fetch``);
+            * the http(s) URL of a file or an archive, which is fetched into the cache
+              (``dosplan.scenario.sources.download``);
             * the URL of a file, a folder or an archive (``s3://bucket/folder``, whatever fsspec
               reads).
 
@@ -61,8 +65,7 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
         The episodes, ids unique.
 
     Raises:
-        ScenarioError: Nothing is found, two files have the same id, or an archive or a list
-            cannot be used.
+        ScenarioError: Nothing is found, or an archive or a list cannot be used.
     """
     if source == SUITE:
         refs = _suite()
@@ -74,13 +77,6 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
         refs = _episodes(candidates(source))
     if not refs:
         raise ScenarioError(place(source), f"holds no scenario ({' or '.join(SUFFIXES)})")
-    known: dict[str, Path] = {}
-    for ref in refs:
-        other = known.setdefault(ref.scenario, ref.path)
-        if other != ref.path:
-            raise ScenarioError(
-                ref.path, f"has the same id, {ref.scenario}, as {other}; remove one of them"
-            )
     return refs
 
 
@@ -92,6 +88,11 @@ def stem(path: Path) -> str:
 def _episodes(found: list[Candidate]) -> list[ScenarioRef]:
     """The episodes of some files, each once; a broken file is one."""
     each = [(candidate, _refs(candidate)) for candidate in found]
+    files: dict[str, dict[Path, str]] = {}
+    for candidate, refs in each:
+        for ref in refs or ():
+            files.setdefault(ref.scenario, {}).setdefault(ref.path, candidate.name or ref.path.name)
+    each = [(c, refs and [_told_apart(x, files[x.scenario]) for x in refs]) for c, refs in each]
     ids = Counter({ref.id for _, refs in each for ref in refs or ()})
     ids.update({c.path: stem(c.path) for c, refs in each if refs is None}.values())
     listed: dict[ScenarioRef, None] = {}
@@ -101,6 +102,14 @@ def _episodes(found: list[Candidate]) -> list[ScenarioRef]:
             refs = [ScenarioRef(candidate.path, name if ids[name] == 1 else candidate.name)]
         listed.update(dict.fromkeys(refs))
     return list(listed)
+
+
+def _told_apart(ref: ScenarioRef, files: Mapping[Path, str]) -> ScenarioRef:
+    """The episode with the path of its file in its id, where several files have that id."""
+    if len(files) == 1:
+        return ref
+    problem = "" if ref.problem_id is None else f"@{ref.problem_id}"
+    return replace(ref, id=f"{ref.scenario}:{files[ref.path]}{problem}")
 
 
 def _refs(candidate: Candidate) -> list[ScenarioRef] | None:
@@ -113,8 +122,8 @@ def _refs(candidate: Candidate) -> list[ScenarioRef] | None:
     if tag != "commonRoad" and not candidate.chosen:
         return []
     name = benchmark_id or stem(path)
-    if twice := [problem for problem, times in Counter(problems).items() if times > 1]:
-        raise ScenarioError(path, f"names planning problem {twice[0]} twice; give one another id")
+    if len(set(problems)) < len(problems):
+        return None
     refs = [ScenarioRef(path, name)]
     if len(problems) > 1:
         refs = [ScenarioRef(path, f"{name}@{problem}", problem) for problem in problems]

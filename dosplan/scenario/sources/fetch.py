@@ -10,6 +10,7 @@ from typing import Final, cast
 
 from dosplan.scenario.commonroad.document import SUFFIXES, ScenarioError
 from dosplan.scenario.sources.archives import is_archive, is_scenario, unpacked
+from dosplan.scenario.sources.download import SCHEMES, downloaded
 
 LIST: Final = "@"
 """Begins a source that is a list."""
@@ -99,13 +100,15 @@ def place(source: str | Path) -> Path:
         source: A path or a URL.
 
     Returns:
-        The path; nothing need be there.
+        The path; nothing need be there. A file behind an http(s) URL is fetched.
 
     Raises:
         ScenarioError: The URL cannot be reached.
     """
     if "://" not in str(source):
         return Path(source)
+    if str(source).startswith(SCHEMES):
+        return downloaded(str(source))
     try:
         from upath import UPath  # Of an optional dependency.
 

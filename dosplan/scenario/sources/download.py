@@ -1,0 +1,68 @@
+"""Files behind http(s) URLs: fetched into the cache, and again only where they have changed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from hashlib import sha256
+from http.client import HTTPException
+from pathlib import Path, PurePosixPath
+from typing import Final
+from urllib.error import HTTPError, URLError
+from urllib.parse import unquote, urlsplit
+from urllib.request import Request, urlopen
+
+from dosplan.scenario.commonroad.document import ScenarioError
+from dosplan.system.files import FileError, atomic_file, file_name, write_text
+from dosplan.system.folders import cache_folder
+
+SCHEMES: Final = ("http://", "https://")
+TIMEOUT: Final = 60.0
+"""How long a server may stay silent, s."""
+_UNCHANGED: Final = 304
+_MARKS: Final = {"ETag": "If-None-Match", "Last-Modified": "If-Modified-Since"}
+
+
+def downloaded(url: str) -> Path:
+    """Fetches a file, where the copy in the cache is not what the server has.
+
+    Args:
+        url: A URL that begins with one of ``SCHEMES``; the last part of its path is the file's
+            name, by whose ending it is taken for a scenario or an archive.
+
+    Returns:
+        The copy.
+
+    Raises:
+        ScenarioError: The server does not give the file, or the cache cannot be written.
+    """
+    name = file_name(unquote(PurePosixPath(urlsplit(url).path).name) or "index")
+    folder = cache_folder() / "downloads" / sha256(url.encode()).hexdigest()[:32]
+    copy, marks = folder / name, folder / "marks.json"
+    request = Request(url, headers=_known(copy, marks))  # noqa: S310 - one of SCHEMES
+    try:
+        with urlopen(request, timeout=TIMEOUT) as answer:  # noqa: S310 - one of SCHEMES
+            with atomic_file(copy) as stream:
+                shutil.copyfileobj(answer, stream)
+            found = {back: answer.headers[mark] for mark, back in _MARKS.items()}
+        write_text(marks, json.dumps({back: mark for back, mark in found.items() if mark}))
+    except HTTPError as error:
+        if error.code == _UNCHANGED:
+            return copy
+        raise _refused(url, f"the server answers {error.code} {error.reason}") from None
+    except (FileError, OSError, HTTPException, ValueError) as error:
+        reason = getattr(error, "reason", None) if isinstance(error, URLError) else error
+        raise _refused(url, str(reason)) from None
+    return copy
+
+
+def _known(copy: Path, marks: Path) -> dict[str, str]:
+    """What tells the server which copy is there; nothing where there is none."""
+    try:
+        return dict(json.loads(marks.read_text())) if copy.is_file() else {}
+    except (OSError, ValueError):
+        return {}
+
+
+def _refused(url: str, reason: str) -> ScenarioError:
+    return ScenarioError(Path(url), f"cannot be fetched ({reason}); fetch it yourself")

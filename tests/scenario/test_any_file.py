@@ -179,6 +179,21 @@ def test_neighbours_are_completed_from_either_side(tmp_path: Path, given: str) -
     assert (left.left_neighbour, left.right_neighbour) == (None, 100)
 
 
+def test_a_ring_of_one_lanelet_is_driven_round(tmp_path: Path) -> None:
+    ring = scenes.arc_lane(1, (0.0, 0.0, 0.0), 25.0, 2 * np.pi, points=91, successors=(1,))
+    # From a sixth of the ring before the seam to a sixth behind it.
+    x, y = 25.0 * np.sin(-np.pi / 3), 25.0 - 25.0 * np.cos(-np.pi / 3)
+    goal = Goal(0, 300, scenes.circle(2.0, -x, y))
+    problem = Problem(start=(x, y, -np.pi / 3, 7.0), goals=(goal,))
+    route = loaded(tmp_path, lanes=[ring], problems=[problem]).task.route
+    # From the seam on, which lies some metres before the ego's first one, over two laps at least.
+    driven = route.path[100 : 100 + round(2 * np.pi * 25.0 / 0.5 * 2)]
+    around = np.hypot(driven[:, 0], driven[:, 1] - 25.0)
+    assert np.abs(around - 25.0).max() < 0.3
+    beyond = np.hypot(*(route.path - np.array([-x, y])).T)
+    assert beyond.min() < 1.0
+
+
 def test_bounds_of_different_counts_are_matched_by_length(tmp_path: Path) -> None:
     bend = scenes.curve()
     lanes = [replace(lane, right=lane.right[::2]) for lane in bend]

@@ -25,6 +25,8 @@ HORIZON: Final = 60.0
 _CRUISE: Final = 15.0
 _START_RADIUS: Final = 3.0
 _WRONG_WAY: Final = 1.2
+_MOST_LANELETS: Final = 1000
+"""Lanelets of a route from which on no ring is driven again."""
 _START: Final = "start"
 _GOAL: Final = "goal"
 
@@ -282,9 +284,13 @@ def _continued(lanes: LaneGraph, ids: list[int], drivable: float, wanted: float)
             length += lanes.centres[out[-1]].length
             continue
         beside = [n for n in neighbours(last) if n not in out and lanes.lanelets[n].successors]
-        if not beside:
+        if beside:
+            out.append(max(beside, key=lambda n: reach[n]))
+        elif last.successors and len(out) < _MOST_LANELETS:  # A ring, which is driven again.
+            out.append(min(last.successors, key=lambda n: _bend(last, lanes.lanelets[n])))
+            length += lanes.centres[out[-1]].length
+        else:
             break
-        out.append(max(beside, key=lambda n: reach[n]))
     return out
 
 

@@ -123,9 +123,8 @@ def road_facts(drive: Drive, step: int) -> RoadFacts:
 def _depths(drive: Drive) -> tuple[FloatArray, FloatArray]:
     """(K + 1,) depth, m, and (K + 1, 2) the farthest point of the rectangle's part outside."""
     shapes = shapely.polygons(rectangle_corners(drive.ego[:, :3], drive.vehicle.size))
-    around = drive.scenario.road_map.drivable.intersection(
-        shapely.box(*shapely.total_bounds(shapes)).buffer(max(drive.vehicle.size))
-    )
+    box = shapely.box(*shapely.total_bounds(shapes)).buffer(max(drive.vehicle.size))
+    around = drive.scenario.road_map.road_within(*box.bounds)
     depths, points = np.zeros(len(shapes)), np.array(drive.ego[:, :2])
     for i, part in enumerate(shapely.difference(shapes, around)):
         if shapely.area(part) == 0.0:

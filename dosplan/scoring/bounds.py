@@ -20,8 +20,8 @@ def outside(poses: FloatArray, size: npt.ArrayLike, road_map: RoadMap) -> BoolAr
 
     The part outside counts where a disc of diameter ``HAIRLINE`` fits into it. So neither cracks in
     the area that are thinner than that, nor a rectangle that sticks out by less, count as off the
-    road. There is no other exemption: a start that is off the road and a drive past the end of the
-    map are outside too.
+    road. An open end of the map is no edge of the road (``RoadMap.open_ends``). There is no other
+    exemption: a start that is off the road is outside too.
 
     Args:
         poses: (K, 3) centre, m, and heading, rad.
@@ -37,7 +37,7 @@ def outside(poses: FloatArray, size: npt.ArrayLike, road_map: RoadMap) -> BoolAr
     rows = np.flatnonzero(found)
     if rows.size:
         # Only the map around these rectangles: a difference with all of it is slow.
-        around = road_map.drivable.intersection(shapely.box(*shapely.total_bounds(shapes[rows])))
+        around = road_map.road_within(*shapely.total_bounds(shapes[rows]))
         parts = shapely.difference(shapes[rows], around)
         found[rows] = ~shapely.is_empty(shapely.buffer(parts, -0.5 * HAIRLINE))
     return np.asarray(found)

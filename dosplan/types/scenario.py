@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from shapely import Geometry
+from shapely import Geometry, Polygon, box
 
 from dosplan.types.arrays import (
     EGO_SIZE,
@@ -56,8 +56,10 @@ class Lanelet:
         left_neighbour: Id of the adjacent lanelet on the left **in the same direction**.
         right_neighbour: The same on the right.
         speed_limit: m/s, or None where the map names none.
-        for_cars: Whether a route may use it; False for footways and bicycle lanes, which are
-            linked to none that is for cars.
+        for_cars: Whether a route may use it; False for footways, bicycle lanes and bus lanes,
+            which are linked to none that is for cars.
+        is_road: Whether it is carriageway, on which a car is not off the road; a bus lane is, a
+            footway, a bicycle lane and a pedestrian crossing are not.
     """
 
     id: int
@@ -69,6 +71,7 @@ class Lanelet:
     right_neighbour: int | None = None
     speed_limit: float | None = None
     for_cars: bool = True
+    is_road: bool = True
 
     def __post_init__(self) -> None:
         frozen(self, "left", np.float64, (None, 2), finite=True)
@@ -86,14 +89,35 @@ class RoadMap:
 
     Attributes:
         lanelets: Every lanelet of the map.
-        drivable: Union of **all** lanelets, a polygon or several, m; the ego's rectangle must stay
-            inside it. Footways and bicycle lanes belong to it, as they do for CommonRoad's own
-            drivability checker: no route leads over them, but to touch one is not to leave the
-            road.
+        drivable: Union of the lanelets that are road, a polygon or several, m; the ego's rectangle
+            must stay inside it. CommonRoad's own drivability checker takes **all** lanelets, so
+            that a car on a footway is on the road there; here it is off it. What a crossing
+            covers of a lane is road by that lane.
+        open_ends: What lies beyond the ends of the map where a road is cut off, a car's length of
+            it, m. No edge of the road is there, so the ego may hang over the end; CommonRoad's
+            checker counts that as off the road.
     """
 
     lanelets: tuple[Lanelet, ...]
     drivable: Geometry
+    open_ends: Geometry = field(default_factory=Polygon)
+
+    def road_within(self, west: float, south: float, east: float, north: float) -> Geometry:
+        """The drivable area and the open ends of the map in a box.
+
+        Args:
+            west: Smallest x, m.
+            south: Smallest y, m.
+            east: Largest x, m.
+            north: Largest y, m.
+
+        Returns:
+            Where a car is not off the road.
+        """
+        area = box(west, south, east, north)
+        inside = self.drivable.intersection(area)
+        beyond = self.open_ends.intersection(area)
+        return inside if beyond.is_empty else inside.union(beyond)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import shapely
 from dosplan.geometry import rectangle_corners, to_world
 from dosplan.scenario import ScenarioError, load_recording, load_scenario
 from dosplan.scenario.commonroad.reader import VELOCITY_SLACK
+from dosplan.scoring.bounds import outside
 from dosplan.types import Scenario, Tracks
 from tests.support import scenes
 from tests.support.scenes import Goal, Problem, User, scenario_xml, write_scenario_xml
@@ -252,6 +253,14 @@ def test_one_exact_velocity_has_slack(tmp_path: Path, velocity: float) -> None:
     assert goal.velocity == (1.0, 2.0)
 
 
+def test_goals_of_which_none_lies_on_the_road_are_told(tmp_path: Path) -> None:
+    beside, on = (Goal(position=scenes.rectangle(9.0, 3.0, 80.0, y)) for y in (-4.0, 0.0))
+    assert loaded(tmp_path, problems=[Problem(goals=(beside, on))]).task.final_step == 50
+    text = scenario_xml(scenes.straight_road(), problems=[Problem(goals=(beside, beside))])
+    line = refusal(tmp_path, text)
+    assert line.startswith("planning problem 1000: none of its goals lies on the road; correct")
+
+
 # Time.
 
 
@@ -458,3 +467,70 @@ def test_the_rectangle_of_a_slanted_wall_leaves_the_road_open(tmp_path: Path) ->
     on_road = shapely.intersection(shapely.union_all(rectangles), scenario.road_map.drivable)
     assert shapely.buffer(on_road, -0.5).is_empty
     assert covered(tracks).area == pytest.approx(450.0)
+
+
+# What is road.
+
+
+@pytest.mark.parametrize(
+    ("kind", "user", "is_road", "for_cars"),
+    [
+        ("urban", None, True, True),
+        ("urban", "vehicle", True, True),
+        ("urban", "bus", True, False),
+        ("urban", "pedestrian", False, False),
+        ("busLane", None, True, False),
+        ("busLane", "car", True, True),
+        ("sidewalk", None, False, False),
+        ("sidewalk", "pedestrian", False, False),
+        ("bicycleLane", "bicycle", False, False),
+        ("crosswalk", None, False, False),
+        ("crosswalk", "pedestrian", False, False),
+        ("crosswalk", "vehicle", True, True),
+        ("shoulder", None, True, True),
+    ],
+)
+def test_what_is_road_and_what_is_for_cars(
+    tmp_path: Path, kind: str, user: str | None, is_road: bool, for_cars: bool
+) -> None:
+    lane, beside = scenes.straight_road()
+    scenario = loaded(tmp_path, lanes=[lane, replace(beside, kind=kind, user=user)])
+    _, read = scenario.road_map.lanelets
+    assert (read.is_road, read.for_cars) == (is_road, for_cars)
+    assert scenario.road_map.drivable.area == pytest.approx(200.0 * (7.0 if is_road else 3.5))
+
+
+def test_a_crossing_on_a_lane_leaves_the_lane_road(tmp_path: Path) -> None:
+    lane = scenes.straight_road(lanes=1)[0]
+    crossing = replace(
+        scenes.straight_lane(9, (60.0, -6.0, np.pi / 2), 12.0, 4.0), kind="crosswalk"
+    )
+    drivable = loaded(tmp_path, lanes=[lane, crossing]).road_map.drivable
+    assert drivable.area == pytest.approx(200.0 * 3.5)
+
+
+def _hangs(scenario: Scenario, *poses: tuple[float, float, float]) -> list[bool]:
+    return [bool(x) for x in outside(np.array(poses), (4.5, 1.8), scenario.road_map)]
+
+
+def test_an_open_end_of_the_map_is_no_edge_of_the_road_and_its_sides_are(tmp_path: Path) -> None:
+    scenario = loaded(tmp_path, lanes=scenes.straight_road(oncoming=1))
+    at_ends = [(0.0, 0.0, 0.0), (200.0, 1.75, 0.0), (0.0, 7.0, np.pi), (201.0, 3.5, 0.3)]
+    assert _hangs(scenario, *at_ends) == [False] * 4
+    beside = [(0.0, -1.0, 0.0), (200.0, 8.0, 0.0), (204.0, 0.0, 0.0), (100.0, -1.0, 0.0)]
+    assert _hangs(scenario, *beside) == [True] * 4
+
+
+def test_a_lane_that_ends_beside_another_has_an_edge_there(tmp_path: Path) -> None:
+    lanes = scenes.straight_road(pieces=2)[:-1]  # The left lane is half as long.
+    scenario = loaded(tmp_path, lanes=[replace(x, successors=()) if x.id == 101 else x
+                                       for x in lanes])  # fmt: skip
+    assert _hangs(scenario, (100.0, 3.5, 0.0), (100.0, 0.0, 0.0)) == [True, False]
+
+
+def test_a_lane_that_ends_on_another_road_has_no_open_end_across_it(tmp_path: Path) -> None:
+    lanes = [scenes.straight_road(lanes=1)[0],
+             scenes.straight_lane(9, (100.0, -50.0, np.pi / 2), 48.25)]  # fmt: skip
+    scenario = loaded(tmp_path, lanes=lanes)
+    # Over the far edge of the road into which lane 9 leads, and over the open begin of lane 9.
+    assert _hangs(scenario, (100.0, 1.0, np.pi / 2), (100.0, -50.0, np.pi / 2)) == [True, False]

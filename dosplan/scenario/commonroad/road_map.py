@@ -35,8 +35,14 @@ they leave slivers open. Of the published solutions (71 looked at), 13 leave the
 lanelets and none the union with gaps of up to 0.04 m closed. A gap of 0.2 m is narrower than a
 car's tyre: none that narrow is an edge of the road that a car could drive off.
 """
+OPEN_END: Final = 5.0
+"""Length of road that is taken to go on beyond an open end of the map, m: about a car's."""
 _CARS: Final = frozenset({"vehicle", "car"})
-_NO_CARS: Final = frozenset({"bicycleLane", "crosswalk", "sidewalk"})
+_ON_WHEELS: Final = _CARS | {"truck", "bus", "taxi", "priorityVehicle", "motorcycle"}
+_NO_ROAD: Final = frozenset({"bicycleLane", "crosswalk", "sidewalk"})
+_NO_CARS: Final = _NO_ROAD | {"busLane"}
+"""Types over which no route leads. A bus lane is carriageway, so a car on it is not off the road;
+but cars may not drive along it, and many maps name neither when they may nor who else."""
 
 SPEED_LIMIT_SIGNS: Final = frozenset(
     {"274", "R2-1", "r301", "3.24", "R15", "C43", "B14", "\N{GREEK CAPITAL LETTER RHO}-32", "B31"}
@@ -76,7 +82,7 @@ class MapReading:
 
 
 def drivable_area(lanelets: tuple[Lanelet, ...]) -> Polygon | MultiPolygon:
-    """Union of the lanelets with the seams between them closed (see ``SEAM``).
+    """Union of the lanelets that are road, with the seams between them closed (see ``SEAM``).
 
     Args:
         lanelets: Every lanelet of the map.
@@ -84,9 +90,66 @@ def drivable_area(lanelets: tuple[Lanelet, ...]) -> Polygon | MultiPolygon:
     Returns:
         The area on which the ego may drive, m.
     """
-    union = shapely.union_all([lanelet_polygon(x.left, x.right) for x in lanelets])
+    union = shapely.union_all([lanelet_polygon(x.left, x.right) for x in lanelets if x.is_road])
     grown = shapely.buffer(union, SEAM, join_style="mitre")
     return areas(shapely.buffer(grown, -SEAM, join_style="mitre"))
+
+
+def open_ends(lanelets: tuple[Lanelet, ...], drivable: shapely.Geometry) -> shapely.Geometry:
+    """What lies beyond the ends of the map at which roads are cut off.
+
+    A road is cut off where a lanelet has no successor (or predecessor), no lane beside it goes on,
+    and there is no other road in front of it: a lane that ends beside another one, or on another
+    road, has an edge there.
+
+    Args:
+        lanelets: Every lanelet of the map.
+        drivable: The area on which the ego may drive, m.
+
+    Returns:
+        ``OPEN_END`` of each road beyond its end, m; empty where none is cut off.
+    """
+    known = {lanelet.id: lanelet for lanelet in lanelets if lanelet.is_road}
+    beyond = []
+    for lanelet in known.values():
+        for ahead in (True, False):
+            if not _goes_on(lanelet, known, ahead):
+                area = _beyond(lanelet, ahead)
+                if shapely.intersection(area, drivable).area < _OTHER_ROAD * area.area:
+                    beyond.append(area)
+    grown = shapely.buffer(shapely.union_all(beyond), SEAM, join_style="mitre")
+    return areas(shapely.difference(shapely.buffer(grown, -SEAM, join_style="mitre"), drivable))
+
+
+_OTHER_ROAD: Final = 0.1
+"""Share of what lies beyond an end from which on there is other road in front of it."""
+
+
+def _goes_on(lanelet: Lanelet, known: Mapping[int, Lanelet], ahead: bool) -> bool:
+    """Whether a lanelet, or one beside it in its direction, has one that follows."""
+    seen, waiting = {lanelet.id}, [lanelet]
+    while waiting:
+        here = waiting.pop()
+        if here.successors if ahead else here.predecessors:
+            return True
+        beside = (here.left_neighbour, here.right_neighbour)
+        fresh = {name for name in beside if name is not None and name in known} - seen
+        seen |= fresh
+        waiting += [known[name] for name in fresh]
+    return False
+
+
+def _beyond(lanelet: Lanelet, ahead: bool) -> Polygon:
+    """A strip as wide as a lanelet's end that goes on straight from there."""
+    left, right = lanelet.left, lanelet.right
+    if not ahead:
+        left, right = left[::-1], right[::-1]
+    way = 0.5 * (left[-1] + right[-1] - left - right)[:-1]
+    # The end's direction over a metre at least: the last points of a map may lie close together.
+    far = np.flatnonzero(np.hypot(*way.T) >= 1.0)
+    along = way[far[-1] if far.size else 0]
+    along = OPEN_END * along / max(float(np.hypot(*along)), 1e-9)
+    return Polygon([left[-1], left[-1] + along, right[-1] + along, right[-1]])
 
 
 def read_road_map(root: Element) -> MapReading:
@@ -123,7 +186,9 @@ def read_road_map(root: Element) -> MapReading:
     two_way = frozenset(
         identity(x) for x in root.iterfind("lanelet") if x.find("userBidirectional") is not None
     )
-    return MapReading(RoadMap(lanelets, drivable_area(lanelets)), two_way, tuple(notes))
+    drivable = drivable_area(lanelets)
+    road_map = RoadMap(lanelets, drivable, open_ends(lanelets, drivable))
+    return MapReading(road_map, two_way, tuple(notes))
 
 
 def _lanelet(element: Element, name: int, limits: Mapping[int, float], notes: list[str]) -> Lanelet:
@@ -151,7 +216,8 @@ def _lanelet(element: Element, name: int, limits: Mapping[int, float], notes: li
         left_neighbour=_neighbour(element, "adjacentLeft"),
         right_neighbour=_neighbour(element, "adjacentRight"),
         speed_limit=min(own, default=None),
-        for_cars=_is_for_cars(element),
+        for_cars=_is_used_by(element, _CARS, _NO_CARS),
+        is_road=_is_used_by(element, _ON_WHEELS, _NO_ROAD),
     )
 
 
@@ -256,11 +322,16 @@ def _goes_round(lanelets: Iterable[Lanelet]) -> int | None:
     return None
 
 
-def _is_for_cars(element: Element) -> bool:
-    """Whether neither the type of a lanelet nor the users it names exclude cars."""
+def _is_used_by(element: Element, who: frozenset[str], excluded: frozenset[str]) -> bool:
+    """Whether neither the type of a lanelet nor the users it names exclude some users.
+
+    A crossing that names them is a lane that is crossed, a bus lane that does is theirs too.
+    """
     users = {x.text for tag in ("userOneWay", "userBidirectional") for x in element.iterfind(tag)}
     types = {x.text for x in element.iterfind("laneletType")}
-    return types.isdisjoint(_NO_CARS) and (not users or not users.isdisjoint(_CARS))
+    if not users.isdisjoint(who):
+        types -= {"crosswalk", "busLane"}
+    return types.isdisjoint(excluded) and (not users or not users.isdisjoint(who))
 
 
 def _speed_limits(root: Element, notes: list[str]) -> dict[int, float]:

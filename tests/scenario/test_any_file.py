@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import shapely
 
@@ -18,6 +20,7 @@ from dosplan.types import Scenario, Tracks
 from tests.support import scenes
 from tests.support.scenes import Goal, Problem, User, scenario_xml, write_scenario_xml
 
+Points = npt.NDArray[np.float64]
 CAR = User(7, scenes.driving(60.0, 0.0, 5.0, 30))
 
 
@@ -534,3 +537,34 @@ def test_a_lane_that_ends_on_another_road_has_no_open_end_across_it(tmp_path: Pa
     scenario = loaded(tmp_path, lanes=lanes)
     # Over the far edge of the road into which lane 9 leads, and over the open begin of lane 9.
     assert _hangs(scenario, (100.0, 1.0, np.pi / 2), (100.0, -50.0, np.pi / 2)) == [True, False]
+
+
+# Large maps.
+
+
+def test_a_map_of_two_thousand_lanelets_takes_about_a_second(tmp_path: Path) -> None:
+    """Of processor time, and three to be sure; on the machine of the developers it is one."""
+    streets = [
+        replace(
+            lane,
+            id=lane.id + 10_000 * street,
+            left=_dense(lane.left, 30.0 * street),
+            right=_dense(lane.right, 30.0 * street),
+            successors=tuple(n + 10_000 * street for n in lane.successors),
+            predecessors=tuple(n + 10_000 * street for n in lane.predecessors),
+            left_neighbour=None,
+            right_neighbour=None,
+        )
+        for street in range(250)
+        for lane in scenes.straight_road(pieces=4)
+    ]
+    path = write_scenario_xml(tmp_path / "town.xml", streets)
+    begun = time.process_time()
+    scenario = load_scenario(path)
+    assert time.process_time() - begun < 3.0
+    assert len(scenario.road_map.lanelets) == 2000
+
+
+def _dense(line: Points, aside: float) -> Points:
+    dense = shapely.get_coordinates(shapely.segmentize(shapely.LineString(line), 2.0))
+    return np.asarray(dense + np.array([0.0, aside]))

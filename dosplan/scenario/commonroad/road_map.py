@@ -110,13 +110,21 @@ def open_ends(lanelets: tuple[Lanelet, ...], drivable: shapely.Geometry) -> shap
         ``OPEN_END`` of each road beyond its end, m; empty where none is cut off.
     """
     known = {lanelet.id: lanelet for lanelet in lanelets if lanelet.is_road}
-    beyond = []
-    for lanelet in known.values():
-        for ahead in (True, False):
-            if not _goes_on(lanelet, known, ahead):
-                area = _beyond(lanelet, ahead)
-                if shapely.intersection(area, drivable).area < _OTHER_ROAD * area.area:
-                    beyond.append(area)
+    strips = np.array(
+        [
+            _beyond(lanelet, ahead)
+            for lanelet in known.values()
+            for ahead in (True, False)
+            if not _goes_on(lanelet, known, ahead)
+        ],
+        dtype=object,
+    )
+    roads = np.array([lanelet_polygon(x.left, x.right) for x in known.values()], dtype=object)
+    strip, road = shapely.STRtree(roads).query(strips, predicate="intersects")
+    # Lanes that overlap count twice: all the more is there road in front.
+    met = shapely.area(shapely.intersection(strips[strip], roads[road]))
+    other = np.bincount(strip, weights=met, minlength=len(strips))
+    beyond = [x for x, area in zip(strips, other, strict=True) if area < _OTHER_ROAD * x.area]
     grown = shapely.buffer(shapely.union_all(beyond), SEAM, join_style="mitre")
     return areas(shapely.difference(shapely.buffer(grown, -SEAM, join_style="mitre"), drivable))
 
@@ -295,16 +303,30 @@ def _linked(found: Mapping[int, Lanelet]) -> dict[int, Lanelet]:
         use = found[name].for_cars
         return tuple(n for n in others if n is not None and n in found and found[n].for_cars is use)
 
-    return {
-        name: replace(
-            lanelet,
-            successors=alike(name, after[name]),
-            predecessors=alike(name, before[name]),
-            left_neighbour=next(iter(alike(name, [left[name]])), None),
-            right_neighbour=next(iter(alike(name, [right[name]])), None),
+    out = {}
+    for name, lanelet in found.items():
+        links = (
+            alike(name, after[name]),
+            alike(name, before[name]),
+            next(iter(alike(name, [left[name]])), None),
+            next(iter(alike(name, [right[name]])), None),
         )
-        for name, lanelet in found.items()
-    }
+        given = (
+            lanelet.successors,
+            lanelet.predecessors,
+            lanelet.left_neighbour,
+            lanelet.right_neighbour,
+        )
+        out[name] = lanelet
+        if links != given:
+            out[name] = replace(
+                lanelet,
+                successors=links[0],
+                predecessors=links[1],
+                left_neighbour=links[2],
+                right_neighbour=links[3],
+            )
+    return out
 
 
 def _goes_round(lanelets: Iterable[Lanelet]) -> int | None:

@@ -81,7 +81,7 @@ def test_what_a_sign_says_is_the_limit(
     assert scenario.notes == ()
 
 
-@pytest.mark.parametrize("value", ["fast", "50 furlongs", "-9.0", "0", ""])
+@pytest.mark.parametrize("value", ["fast", "50 furlongs", "-9.0", "0", "", "1e30"])
 def test_a_limit_that_cannot_be_read_is_none_and_noted(tmp_path: Path, value: str) -> None:
     text = scenario_xml(scenes.straight_road(lanes=1, speed_limit=9.0))
     scenario = from_text(tmp_path, text.replace(">9.0<", f">{value}<"))
@@ -128,6 +128,12 @@ UNREAD = {
         "<planningProblem",
         '<trafficSign id="90"><trafficSignElement/></trafficSign><planningProblem',
     ),
+    "a sign of no number": (
+        "<planningProblem",
+        '<trafficSign id="first"><trafficSignElement><trafficSignID>274</trafficSignID>'
+        "<additionalValue>5</additionalValue></trafficSignElement></trafficSign><planningProblem",
+    ),
+    "a reference to no number": ("<laneletType>", '<trafficSignRef ref="x"/><laneletType>'),
     "a blinker": (
         "<trajectory>",
         "<initialSignalState><horn>maybe</horn></initialSignalState><trajectory>",
@@ -370,6 +376,7 @@ _START = '<planningProblem id="1000"><initialState>'
         ("<rectangle>.*?</rectangle>", scenes.polygon([[0, 0], [1, 1]]),
          "obstacle 7: a <polygon> has 2 points"),
         ('<dynamicObstacle id="7">', '<dynamicObstacle id="seven">', "obstacle has the id 'seven'"),
+        ('timeStepSize="0.1"', 'timeStepSize="-3"', "its timeStepSize is -3 s; give it a length"),
         ('timeStepSize="0.1"', 'timeStepSize="a"', "its timeStepSize is 'a', no number"),
         ('commonRoadVersion="2020a"', 'commonRoadVersion="2024a"',
          "has CommonRoad version 2024a; convert it to 2018b or 2020a"),

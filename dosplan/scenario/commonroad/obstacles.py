@@ -110,7 +110,7 @@ class Resampling:
         """
         if not STEPS[0] <= dt <= STEPS[1]:
             raise FaultError(
-                f"has a time step of {dt:g} s; give timeStepSize a length from {STEPS[0]:g} to "
+                f"its timeStepSize is {dt:g} s; give it a length from {STEPS[0]:g} s to "
                 f"{STEPS[1]:g} s"
             )
         ratio = Fraction(dt / STEP_SECONDS).limit_denominator(1000)

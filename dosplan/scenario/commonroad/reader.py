@@ -112,11 +112,12 @@ def _scenario(document: Document, ref: ScenarioRef, onlooker: bool) -> Scenario:
     root = document.root
     benchmark_id = root.get("benchmarkID", "")
     dt = number(root.get("timeStepSize"), "its timeStepSize")
+    resampling = Resampling.of(dt)  # Of which every problem begins where its ego starts.
     read = read_road_map(root)
     vehicle = VehicleParameters()
     elements = root.findall("planningProblem")
     if not elements and onlooker:
-        problem = _onlooker(root, read.road_map.lanelets[0], Resampling.of(dt), vehicle)
+        problem = _onlooker(root, read.road_map.lanelets[0], resampling, vehicle)
     else:
         element = _chosen(ref, elements)
         with naming(label(element)):

@@ -14,12 +14,12 @@ from shapely.geometry import MultiPolygon, Polygon
 
 from dosplan.geometry import areas, lanelet_polygon
 from dosplan.scenario.commonroad.elements import (
+    MAX_NUMBER,
     FaultError,
     child,
     identity,
     label,
     naming,
-    number,
     points,
     quoted,
     references,
@@ -199,7 +199,9 @@ def read_road_map(root: Element) -> MapReading:
     return MapReading(road_map, two_way, tuple(notes))
 
 
-def _lanelet(element: Element, name: int, limits: Mapping[int, float], notes: list[str]) -> Lanelet:
+def _lanelet(
+    element: Element, name: int, limits: Mapping[str | None, float], notes: list[str]
+) -> Lanelet:
     left, right = (_bound(element, f"{side}Bound") for side in ("left", "right"))
     if len(left) != len(right):
         notes.append(
@@ -210,7 +212,7 @@ def _lanelet(element: Element, name: int, limits: Mapping[int, float], notes: li
     if (turned := _turned(left, right)) is not None:
         notes.append(f"lanelet {name}: its bounds run against each other; one was turned")
         left, right = turned
-    signs = references(element, "trafficSignRef")
+    signs = [sign.get("ref") for sign in element.iterfind("trafficSignRef")]
     own = [limits[sign] for sign in signs if sign in limits]
     told = element.find("speedLimit")
     if told is not None and (limit := _speed(told.text, f"lanelet {name}", notes)) is not None:
@@ -356,9 +358,9 @@ def _is_used_by(element: Element, who: frozenset[str], excluded: frozenset[str])
     return types.isdisjoint(excluded) and (not users or not users.isdisjoint(who))
 
 
-def _speed_limits(root: Element, notes: list[str]) -> dict[int, float]:
-    """Lowest limit of each traffic sign that names one, m/s."""
-    limits: dict[int, float] = {}
+def _speed_limits(root: Element, notes: list[str]) -> dict[str | None, float]:
+    """Lowest limit, m/s, of each traffic sign that names one, by the sign's id as it is written."""
+    limits: dict[str | None, float] = {}
     for sign in root.iterfind("trafficSign"):
         found = [
             limit
@@ -366,7 +368,7 @@ def _speed_limits(root: Element, notes: list[str]) -> dict[int, float]:
             if (limit := _sign_limit(element, label(sign), notes)) is not None
         ]
         if found:
-            limits[identity(sign)] = min(found)
+            limits[sign.get("id")] = min(found)
     return limits
 
 
@@ -393,8 +395,8 @@ def _speed(text: str | None, name: str, notes: list[str]) -> float | None:
         return None
     found = _SPEED.fullmatch(plain)
     if found is not None and found[2] in _UNITS:
-        value = number(found[1].replace(",", "."), "a speed limit")
-        if value > 0.0:
-            return value * _UNITS[found[2]]
+        value = float(found[1].replace(",", ".")) * _UNITS[found[2]]
+        if 0.0 < value <= MAX_NUMBER:
+            return value
     notes.append(f"{name}: its speed limit {quoted(text)} cannot be read; no limit is taken")
     return None

@@ -14,13 +14,12 @@ import pytest
 
 from dosplan.cli import main as cli
 from dosplan.cli.main import main
-from tests.support import faulty
+from tests.support.plugins import PLUGINS
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 playwright.expect.set_options(timeout=120_000)  # A busy machine is slow to draw.
 
-FAULTY = Path(faulty.__file__)
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 LAPTOP = {"width": 1366, "height": 768}
 
@@ -49,7 +48,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path = folder / "scenes" / f"{name}.xml"
         path.parent.mkdir(exist_ok=True)
         write_scenario_xml(path, users=[user], problems=problems, benchmark_id=name)
-    plugins = ["--planner", f"{FAULTY}:CoastPlanner", "--predictor", "growing-circle"]
+    plugins = ["--planner", f"{PLUGINS}:CoastPlanner", "--predictor", "growing-circle"]
     out = ["--workers", "1", "--out", str(folder / "run")]
     assert main(["run", str(folder / "scenes"), *plugins, *out]) == cli.OK
     return folder / "run" / "report.html"

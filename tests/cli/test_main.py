@@ -25,11 +25,10 @@ from dosplan.running.run import RunConfig
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import read_json
 from dosplan.types import Arm
-from tests.support import faulty
+from tests.support.plugins import PLUGINS
 from tests.support.runs import write_followed, write_reached_and_missed
 
-FAULTY = Path(faulty.__file__)
-COAST = ["--planner", f"{FAULTY}:CoastPlanner", "--predictor", f"{FAULTY}:StillPredictor"]
+COAST = ["--planner", f"{PLUGINS}:CoastPlanner", "--predictor", f"{PLUGINS}:StillPredictor"]
 
 
 @pytest.fixture(scope="module")
@@ -133,12 +132,12 @@ def test_run_tells_planner_failures_by_its_exit_code_and_on_stderr(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scenes = write_followed(tmp_path)
-    planner = ["--planner", f"{FAULTY}:FaultyPlanner", "--limit", "1", "--with-dos"]
+    planner = ["--planner", f"{PLUGINS}:FaultyPlanner", "--limit", "1", "--with-dos"]
     out = ["--out", str(tmp_path / "run"), "--in-process"]
     assert main(["run", str(scenes), *COAST, *planner, *out]) == cli.FAILED
     assert read_json(tmp_path / "run" / "run.json")["config"]["arms"] == ["with_dos"]
     line = capsys.readouterr().err.splitlines()[-1]
-    assert line.startswith("1 x planner faulty-v1: SystemExit: enough (faulty.py:")
+    assert line.startswith("1 x planner faulty-v1: SystemExit: enough (plugins.py:")
     assert line.endswith("[ZAM_Test-0_1_T-1, with_dos]")
 
 
@@ -148,7 +147,7 @@ def test_run_tells_planner_failures_by_its_exit_code_and_on_stderr(
         (["--set", "planner.acceleration=fast"], "option 'acceleration' is 'fast', expected float"),
         (["--set", "planner.acceleration=10"], "acceleration is 10.0, expected -9 to 9"),
         (["--set", "planner.aceleration=1"], "did you mean 'acceleration'?"),
-        (["--planner", f"{FAULTY}:UnbuildablePlanner"], "OSError: the weights are missing"),
+        (["--planner", f"{PLUGINS}:UnbuildablePlanner"], "OSError: the weights are missing"),
         (["--predictor", "dos", "--set", "predictor.threads=many"], "option 'threads' is 'many'"),
         (["--predictor", "dos", "--set", "predictor.threads=0"], "threads is 0, expected 1 or mo"),
         (["--predictor", "dos", "--set", "predictor.sets=x"], "there are no sets called 'x'"),
@@ -168,7 +167,7 @@ def test_a_wrong_option_is_one_line_and_leaves_no_folder(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    tuned = ["--planner", f"{FAULTY}:TunedPlanner"]
+    tuned = ["--planner", f"{PLUGINS}:TunedPlanner"]
     out = ["--out", str(tmp_path / "run"), "--workers", "1"]
     assert main(["run", str(scenes), *COAST, *tuned, *arguments, *out]) == cli.BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
@@ -255,7 +254,7 @@ def test_a_full_disk_behind_stdout_is_one_line() -> None:
         (["run", "--set", "planner.gain=.nan"], "planner_options: gain must be made of finite"),
         (["run", "{scenes}", *COAST, "--set", "planner.gain=1"], "takes no option 'gain'"),
         (["run", "{scenes}", *COAST, "--set", "predictor.horzion=9"], "did you mean 'horizon'?"),
-        (["run", "{scenes}", "--predictor", f"{FAULTY}:SeerPredictor"], "--unranked allows it"),
+        (["run", "{scenes}", "--predictor", f"{PLUGINS}:SeerPredictor"], "--unranked allows it"),
         (["run", "{scenes}", *COAST, "--out", "{scenes}"], "is not empty and holds no run"),
         (["list", "scenarios", "no/such/folder"], "no/such/folder"),
         (["check", "no-such-plugin"], "no planner is called"),
@@ -374,13 +373,13 @@ def test_check_passes_a_good_predictor_and_fails_a_bad_planner(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "check.json"
-    assert main(["check", f"{FAULTY}:StillPredictor", "--json", str(path)]) == cli.OK
+    assert main(["check", f"{PLUGINS}:StillPredictor", "--json", str(path)]) == cli.OK
     assert "still-v1 keeps the contract" in capsys.readouterr().out
     report = read_json(path)
     assert report["ok"]
     assert all(check["ok"] for check in report["checks"])
 
-    assert main(["check", f"{FAULTY}:UnbuildablePlanner"]) == cli.FAILED
+    assert main(["check", f"{PLUGINS}:UnbuildablePlanner"]) == cli.FAILED
     shown = capsys.readouterr().out
     assert "FAILED" in shown
     assert "the weights are missing" in shown

@@ -22,11 +22,10 @@ from dosplan.plugins.registry import create_predictor
 from dosplan.scenario.synthetic import straight_scenario
 from dosplan.system.files import read_json
 from dosplan.types import FloatArray, Observation, Occupancy, RoadUserKind, Scenario
-from tests.support import faulty
 from tests.support.factories import steady_tracks
+from tests.support.plugins import PLUGINS
 from tests.support.scenes import User, driving, write_scenario_xml
 
-FAULTY = Path(faulty.__file__)
 CIRCLES = [("cv", "constant-velocity", {}), ("r=1", "fixed-circle", {"r": 1.0})]
 SETS = {
     "method", "group", "horizon_s", "cr", "cr_se", "osa", "osa90", "cr90", "scale90",
@@ -323,7 +322,7 @@ def test_the_command_shows_and_writes_the_promised_names(
         (["{recordings}", "--predictor", "non"], "did you mean 'none'?"),
         (["{recordings}", "--predictor", "none", "--predictor", "none"], "have the label 'none'"),
         (["{recordings}", "--methods", "absent.yaml"], "cannot read absent.yaml"),
-        (["{recordings}", "--predictor", f"{FAULTY}:Missing"], "has no Missing"),
+        (["{recordings}", "--predictor", f"{PLUGINS}:Missing"], "has no Missing"),
         (["no/such/folder", "--predictor", "none"], "no/such/folder"),
         (["{recordings}", "--predictor", "none", "--scale-on", "absent"], "absent: does not exist"),
     ],

@@ -24,7 +24,6 @@ from dosplan.results.rows import read_rows, row_line
 from dosplan.scenario.synthetic import (
     CAR_SIZE,
     LANE_WIDTH,
-    growing_sets,
     steady_tracks,
     straight_scenario,
 )
@@ -51,44 +50,36 @@ from dosplan.types import (
     Tracks,
 )
 from dosplan.vehicle import VehicleParameters
-from tests.support import faulty
 from tests.support.factories import arc_route
 from tests.support.old_files import save_as_version_0_4
+from tests.support.plugins import CoastPlanner, GrowingPredictor
 from tests.support.runs import run_leaky, write_followed
 from tests.support.traffic import ShyTraffic, braking_before, followed
 
-FAULTY = Path(faulty.__file__)
 VEHICLE = VehicleParameters()
 
 
-class Coast(Planner):
-    """Holds its speed and its wheel, and reports what the test wants."""
-
-    name = "coast-v1"
+class Coast(CoastPlanner):
+    """Reports what the test wants."""
 
     def __init__(self, reports: dict[int, SolveReport] | None = None) -> None:
         super().__init__()
         self.reports = reports or {}
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
-        states = [observation.ego]
-        for _ in range(5):
-            states.append(VEHICLE.step(states[-1], np.zeros(2), observation.dt))
         report = self.reports.get(observation.step, SolveReport(SolveStatus.SOLVED, 10))
-        return Plan(np.array(states), np.zeros((5, 2)), report)
+        return replace(super().compute_plan(observation, occupancy), report=report)
 
 
-class Discs(Predictor):
-    """Constant velocity with discs of one radius around it."""
-
-    name = "discs-v1"
+class Discs(GrowingPredictor):
+    """Discs of one radius in place of the ellipses."""
 
     def __init__(self, radius: float, horizon: int = 40) -> None:
         super().__init__(settings=PredictorSettings(horizon=horizon))
         self.radius = radius
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
-        sets = growing_sets(observation, self.horizon)
+        sets = super().compute_occupancy(observation)
         return replace(sets, semi_axes=np.full_like(sets.semi_axes, self.radius))
 
 
@@ -546,7 +537,7 @@ def test_the_command_tells_a_failure_and_its_traceback(
     assert main(["explain", str(folder.path), "ZAM_Test-1_1_T-1", "--arm", "with_dos"]) == OK
     shown = capsys.readouterr().out
     assert "planner_failure at step 0, 0.0 s after the start" in shown
-    assert "planner leaky-v1: RuntimeError: broken for good (faulty.py:" in shown
+    assert "planner leaky-v1: RuntimeError: broken for good (plugins.py:" in shown
     assert "the traceback is in episodes/ZAM_Test-1_1_T-1.with_dos.txt" in shown
 
 

@@ -25,17 +25,17 @@ from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunError, run
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
 from dosplan.types import Arm
-from tests.support.fault_runs import (
+from tests.support.runs import (
     command,
     configured,
     rows_in,
+    run_here,
     start,
     until,
     untimed,
     write_faults,
     write_scenes,
 )
-from tests.support.runs import run_here
 
 SCENARIOS = 8
 

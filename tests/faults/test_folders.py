@@ -17,14 +17,14 @@ from dosplan.running import run as runner
 from dosplan.running.run import RunError
 from dosplan.scenario import find_scenarios
 from dosplan.system.files import FileError
-from tests.support.fault_runs import (
+from tests.support.runs import (
     command,
     configured,
     rows_in,
+    run_here,
     untimed,
     write_scenes,
 )
-from tests.support.runs import run_here
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ from dosplan.running.run import RunError, run
 from dosplan.scenario import find_scenarios
 from dosplan.system.files import read_json
 from dosplan.types import Arm, Outcome
-from tests.faults.planners import FAULTS
-from tests.support.fault_runs import alive, configured, until, write_faults, write_scenes
+from tests.support.plugins import FAULTS
+from tests.support.runs import alive, configured, until, write_faults, write_scenes
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 

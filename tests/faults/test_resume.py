@@ -17,16 +17,16 @@ from dosplan.running import run as runner
 from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunConfig, RunError, run
 from dosplan.types import Score
-from tests.support.fault_runs import (
+from tests.support.runs import (
     command,
     configured,
     rows_in,
+    run_here,
     start,
     until,
     untimed,
     write_scenes,
 )
-from tests.support.runs import run_here
 
 EPISODES = 4  # Two scenarios in both arms.
 

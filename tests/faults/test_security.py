@@ -17,8 +17,7 @@ from dosplan.running.run import RunError
 from dosplan.scenario import find_scenarios
 from dosplan.system.files import FileError
 from dosplan.types import Outcome
-from tests.support.fault_runs import configured, untimed, write_scenes
-from tests.support.runs import run_here
+from tests.support.runs import configured, run_here, untimed, write_scenes
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.faults.planners import BEGUN
-from tests.support.fault_runs import alive, command, rows_in, start, until, write_faults
+from tests.support.plugins import BEGUN
+from tests.support.runs import alive, command, rows_in, start, until, write_faults
 
 
 @dataclass(frozen=True)

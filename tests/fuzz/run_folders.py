@@ -29,8 +29,7 @@ from dosplan.system.provenance import Environment, Machine
 from dosplan.types import Arm
 from tests.fuzz.byte_damage import damage_binary
 from tests.fuzz.harness import Case, one_line_at_most, shell
-from tests.support.fault_runs import configured, write_scenes
-from tests.support.runs import run_here
+from tests.support.runs import configured, run_here, write_scenes
 
 RUN: Final = Path("run")
 SCENES: Final = Path("scenes")

@@ -21,9 +21,7 @@ from dosplan.plugins.registry import (
     find_predictor,
     list_plugins,
 )
-from tests.support import faulty
-
-FAULTY = Path(faulty.__file__)
+from tests.support.plugins import PLUGINS
 
 
 def _offer(monkeypatch: pytest.MonkeyPatch, *targets: tuple[str, str]) -> None:
@@ -56,13 +54,13 @@ def test_entry_point_name_is_found() -> None:
 
 
 def test_module_and_class_are_found() -> None:
-    found = find_planner("tests.support.faulty:CoastPlanner")
+    found = find_planner("tests.support.plugins:CoastPlanner")
     assert found.__name__ == "CoastPlanner"
 
 
 def test_file_and_class_are_found_and_built_with_the_seed() -> None:
-    planner = create_planner(f"{FAULTY}:CoastPlanner", seed=7)
-    predictor = create_predictor(f"{FAULTY}:StillPredictor", seed=8)
+    planner = create_planner(f"{PLUGINS}:CoastPlanner", seed=7)
+    predictor = create_predictor(f"{PLUGINS}:StillPredictor", seed=8)
     assert isinstance(planner, Planner)
     assert (planner.name, planner.seed, predictor.seed) == ("coast-v1", 7, 8)
 
@@ -96,9 +94,9 @@ def test_a_file_can_use_its_own_dataclasses(tmp_path: Path) -> None:
         ("no_such.py:Planner", "there is no file no_such.py"),
         (":Planner", "expected a name, module:Class or path/to/file.py:Class"),
         ("dosplan.api:", "expected a name"),
-        (f"{FAULTY}:CoastPlaner", "has no CoastPlaner; did you mean 'CoastPlanner'?"),
-        (f"{FAULTY}:StillPredictor", "is not a subclass of dosplan.api.Planner"),
-        (f"{FAULTY}:HORIZON", "is not a subclass of dosplan.api.Planner"),
+        (f"{PLUGINS}:CoastPlaner", "has no CoastPlaner; did you mean 'CoastPlanner'?"),
+        (f"{PLUGINS}:StillPredictor", "is not a subclass of dosplan.api.Planner"),
+        (f"{PLUGINS}:HORIZON", "is not a subclass of dosplan.api.Planner"),
         ("dosplan.api:Planner", "is not a subclass of dosplan.api.Planner"),
     ],
 )
@@ -129,7 +127,7 @@ def test_a_broken_file_is_explained_in_one_line(tmp_path: Path, source: str, mes
 
 def test_a_constructor_that_raises_is_explained() -> None:
     with pytest.raises(RegistryError, match=r"cannot be built: OSError: the weights are missing"):
-        create_planner(f"{FAULTY}:UnbuildablePlanner", seed=0)
+        create_planner(f"{PLUGINS}:UnbuildablePlanner", seed=0)
 
 
 def test_a_name_offered_twice_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,7 +140,7 @@ def test_a_name_offered_twice_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_an_installed_plugin_that_is_broken_costs_only_those_who_name_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    _offer(monkeypatch, ("bad", "no.such:Thing"), ("good", "tests.support.faulty:CoastPlanner"))
+    _offer(monkeypatch, ("bad", "no.such:Thing"), ("good", "tests.support.plugins:CoastPlanner"))
     assert find_planner("good").name == "coast-v1"
     with pytest.raises(RegistryError, match="planner 'bad' cannot be imported"):
         find_planner("bad")

@@ -12,7 +12,7 @@ import pytest
 
 from dosplan.results.rows import read_rows
 from dosplan.types import Arm, Outcome
-from tests.support.fault_runs import alive, command, start, until, write_faults, write_scenes
+from tests.support.runs import alive, command, start, until, write_faults, write_scenes
 
 # Python imports a module of this name before anything else, in worker processes as well. The
 # modules are kept from dosplan and its plug-ins only: libraries have other ones on Windows.

@@ -21,8 +21,8 @@ from dosplan.running.config import RunError
 from dosplan.running.executor import SerialExecutor
 from dosplan.system.files import FileError
 from dosplan.types import Arm, Score
-from tests.support.fault_runs import PLANNERS, STILL, untimed, write_scenes
-from tests.support.faulty import CoastPlanner, StillPredictor
+from tests.support.plugins import PLUGINS, CoastPlanner, StillPredictor
+from tests.support.runs import STILL, untimed, write_scenes
 
 
 @pytest.fixture(scope="module")
@@ -81,13 +81,13 @@ def test_plug_ins_of_an_episode_may_be_names(scenes: Path) -> None:
 def test_a_run_is_that_of_the_command(
     scenes: Path, results: Results, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plugins = ["--planner", "tests.support.faulty:CoastPlanner", "--predictor", STILL]
+    plugins = ["--planner", "tests.support.plugins:CoastPlanner", "--predictor", STILL]
     assert (
         main(["run", str(scenes), *plugins, "--out", str(tmp_path / "command"), "--in-process"])
         == 0
     )
     assert untimed(tmp_path / "command") == untimed(results.path)
-    assert results.manifest.config.planner == "tests.support.faulty:CoastPlanner"
+    assert results.manifest.config.planner == "tests.support.plugins:CoastPlanner"
     assert results.manifest.config.cache
     opened = dosplan.open_run(results.path)
     assert opened == results
@@ -125,7 +125,7 @@ def test_runs_are_compared_however_they_are_given(
     assert (arms.n, arms.differences["success"].difference) == (2, 0.0)
     slow = dosplan.run_suite(
         scenes,
-        f"{PLANNERS}:CoastPlanner",
+        f"{PLUGINS}:CoastPlanner",
         STILL,
         out=tmp_path / "other",
         executor=SerialExecutor(),

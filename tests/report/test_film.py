@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from PIL import Image
 from shapely.geometry import Point, Polygon, box
 
-from dosplan.api import Planner, Predictor
 from dosplan.cli.main import BAD_INPUT, FAILED, OK, main
 from dosplan.geometry import rectangle_corners
 from dosplan.report.film.drives import Take
@@ -28,55 +27,30 @@ from dosplan.report.film.scene import ARM_COLOURS
 from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
-from dosplan.scenario.synthetic import growing_sets, steady_tracks, straight_scenario
+from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.simulation.loop import run_episode
 from dosplan.system.files import FileError
 from dosplan.types import (
     Arm,
     FloatArray,
     GoalState,
-    Observation,
-    Occupancy,
     Outcome,
-    Plan,
     RoadUserKind,
     Scenario,
 )
 from dosplan.vehicle import VehicleParameters
-from tests.support import faulty
+from tests.support.plugins import PLUGINS, CoastPlanner, GrowingPredictor
 from tests.support.runs import run_leaky, write_followed
 from tests.support.traffic import ShyTraffic, braking_before, followed
 
-FAULTY = Path(faulty.__file__)
 VEHICLE = VehicleParameters()
 ROAD = np.array(to_rgb("#dfe1e0"))
 NAME = "ZAM_Test-0_1_T-1"
 
 
-class Coast(Planner):
-    """Holds its speed and its wheel."""
-
-    name = "coast-v1"
-
-    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
-        states = [observation.ego]
-        for _ in range(5):
-            states.append(VEHICLE.step(states[-1], np.zeros(2), observation.dt))
-        return Plan(np.array(states), np.zeros((5, 2)))
-
-
-class Growing(Predictor):
-    """Constant velocity with ellipses that grow."""
-
-    name = "growing-v1"
-
-    def compute_occupancy(self, observation: Observation) -> Occupancy:
-        return growing_sets(observation, self.horizon)
-
-
 def driven(scenario: Scenario, arm: Arm = Arm.WITH_DOS) -> Take:
     """Drives, scores and records."""
-    drive = Drive.of(scenario, run_episode(scenario, Coast(), Growing(), arm))
+    drive = Drive.of(scenario, run_episode(scenario, CoastPlanner(), GrowingPredictor(), arm))
     return Take(ARM_TITLES[arm], ARM_COLOURS[arm], scenario, drive.row, drive)
 
 
@@ -314,7 +288,7 @@ def test_a_planner_that_raises_is_drawn_to_where_it_did(run: Path, tmp_path: Pat
 def test_why_a_planner_failed_that_drove_first_is_told(
     scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plugins = ["--planner", f"{FAULTY}:LeakyPlanner", "--predictor", f"{FAULTY}:StillPredictor"]
+    plugins = ["--planner", f"{PLUGINS}:LeakyPlanner", "--predictor", f"{PLUGINS}:StillPredictor"]
     for name, code in (("ZAM_Test-0_1_T-1", OK), ("ZAM_Test-1_1_T-1", FAILED)):
         out = tmp_path / f"{name}.png"
         asked = ["render", name, "--source", str(scenes), *plugins, "--out", str(out)]

@@ -36,12 +36,11 @@ from dosplan.scoring.score import failed_score
 from dosplan.simulation.traffic import Replay, Traffic
 from dosplan.system.files import FileError, write_json
 from dosplan.types import Arm, EpisodeEnd, FloatArray, Outcome, Score
-from tests.support import faulty
+from tests.support.plugins import PLUGINS
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 from tests.support.traffic import ShyTraffic, braking_before, followed
 
-FAULTY = Path(faulty.__file__)
-COAST = ["--planner", f"{FAULTY}:CoastPlanner", "--predictor", "constant-velocity"]
+COAST = ["--planner", f"{PLUGINS}:CoastPlanner", "--predictor", "constant-velocity"]
 HOSTILE = "ZAM_</script><img src=x onerror=alert(1)>-1_1_T-1"
 
 

@@ -26,11 +26,10 @@ from dosplan.running.progress import Observer, ProgressObserver
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import read_json
 from dosplan.types import Arm, Outcome, Score
-from tests.support import faulty
-from tests.support.runs import write_reached_and_missed
+from tests.support.plugins import PLUGINS
+from tests.support.runs import write_followed, write_reached_and_missed
 
-FAULTY = Path(faulty.__file__)
-COAST = ("--planner", f"{FAULTY}:CoastPlanner", "--predictor", f"{FAULTY}:StillPredictor")
+COAST = ("--planner", f"{PLUGINS}:CoastPlanner", "--predictor", f"{PLUGINS}:StillPredictor")
 EPISODES = {Arm.WITH_DOS: 20, Arm.WITHOUT_DOS: 20}
 
 
@@ -162,14 +161,15 @@ def test_quiet_json_is_one_document_that_agrees_with_the_summary(
 
 @pytest.mark.usefixtures("quiet_report")
 def test_quiet_tells_of_failures_all_the_same(
-    scenes: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    planner = ("--planner", f"{FAULTY}:UnbuildablePlanner", *COAST[2:])
+    scenes = write_followed(tmp_path / "scenes")
+    planner = ("--planner", f"{PLUGINS}:FaultyPlanner", *COAST[2:])
     options = ("--in-process", "--limit", "1", "--with-dos", "--quiet", "--json")
     assert main(["run", str(scenes), *planner, "--out", str(tmp_path / "run"), *options]) == FAILED
     shown = capfd.readouterr()
     assert json.loads(shown.out)["with_dos"]["planner_failure_rate"] == 1.0
-    assert "the weights are missing" in shown.err
+    assert "planner faulty-v1: SystemExit: enough" in shown.err
 
 
 def test_a_folder_is_not_taken_for_the_json_file(
@@ -210,7 +210,7 @@ def test_a_terminal_has_the_table_live_and_keeps_what_was_scored_on_ctrl_c(
     process = subprocess.Popen(
         [
             *(sys.executable, "-m", "dosplan", "run", str(scenes), "--out", str(out)),
-            *("--planner", f"{FAULTY}:HangingPlanner", *COAST[2:], "--workers", "1"),
+            *("--planner", f"{PLUGINS}:HangingPlanner", *COAST[2:], "--workers", "1"),
         ],
         stdout=subprocess.PIPE,
         stderr=theirs,

@@ -15,7 +15,8 @@ from dosplan.running.config import RunConfig
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Aggregate, Better, Group, Metric
 from dosplan.system.files import read_json
-from tests.support.runs import FAULTY, run_here, write_reached_and_missed
+from tests.support.plugins import PLUGINS
+from tests.support.runs import STILL, run_here, write_reached_and_missed
 
 STATES = Metric(
     name="scored_states",
@@ -42,8 +43,8 @@ def test_a_new_entry_reaches_rows_summary_comparison_tables_pages_and_docs(
     config = RunConfig(
         out=tmp_path / "run",
         source=str(scenes),
-        planner=f"{FAULTY}:CoastPlanner",
-        predictor=f"{FAULTY}:StillPredictor",
+        planner=f"{PLUGINS}:CoastPlanner",
+        predictor=STILL,
     )
     folder = run_here(config)
 

@@ -19,12 +19,12 @@ from dosplan.results.summary import read_summary
 from dosplan.running.config import RunConfig
 from dosplan.system.files import FileError, read_json
 from dosplan.types import Arm, Outcome
-from tests.support import faulty, traffic
+from tests.support import traffic
 from tests.support.old_files import save_as_version_0_4
+from tests.support.plugins import PLUGINS
 from tests.support.runs import run_here
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
-FAULTY = Path(faulty.__file__)
 TRAFFIC = {"replay": "replay", "reacting": f"{traffic.__file__}:ShyTraffic"}
 STEPS = 20
 
@@ -58,8 +58,8 @@ def drive(out: Path, scenes: Path, kind: str = "replay") -> RunFolder:
         RunConfig(
             out=out,
             source=str(scenes),
-            planner=f"{FAULTY}:TiringPlanner",
-            predictor=f"{FAULTY}:StillPredictor",
+            planner=f"{PLUGINS}:TiringPlanner",
+            predictor=f"{PLUGINS}:StillPredictor",
             traffic=TRAFFIC[kind],
         )
     )

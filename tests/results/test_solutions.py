@@ -19,8 +19,8 @@ from dosplan.scenario import ScenarioError
 from dosplan.scenario.commonroad.solution import Trajectory, solution_xml
 from dosplan.types import Arm, FloatArray
 from dosplan.vehicle import VehicleParameters
-from tests.support.fault_runs import PLANNERS, STILL, configured, write_scenes
-from tests.support.runs import run_here
+from tests.support.plugins import PLUGINS
+from tests.support.runs import STILL, configured, run_here, write_scenes
 from tests.support.scenes import Goal, Problem, rectangle, write_scenario_xml
 
 VEHICLE = VehicleParameters()
@@ -152,7 +152,7 @@ def test_solutions_can_be_asked_for_when_all_is_driven(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scenes, out = write_scenes(tmp_path / "scenes", 2), tmp_path / "run"
-    plugins = ["--planner", f"{PLANNERS}:CoastPlanner", "--predictor", STILL]
+    plugins = ["--planner", f"{PLUGINS}:CoastPlanner", "--predictor", STILL]
     arguments = ["run", str(scenes), *plugins, "--with-dos", "--out", str(out), "--in-process"]
     assert main(arguments) == 0, capsys.readouterr().err
     assert not (out / "solutions").exists()

@@ -12,13 +12,13 @@ pytest.importorskip("distributed", reason="Dask is an optional dependency")
 from dosplan.plugins.registry import choose_predictor
 from dosplan.running import dask_cluster as cluster
 from dosplan.running.config import RunConfig
-from tests.support import faulty
+from tests.support.plugins import PLUGINS
 
 
 def test_plugins_within_plugins_are_found_from_another_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shutil.copy(faulty.__file__, tmp_path / "mine.py")
+    shutil.copy(PLUGINS, tmp_path / "mine.py")
     (tmp_path / "net.safetensors").write_bytes(b"")
     monkeypatch.chdir(tmp_path)
     options = {"base": "mine.py:StillPredictor", "network": "net.safetensors", "threads": 2}

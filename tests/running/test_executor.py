@@ -20,12 +20,11 @@ from dosplan.running.run import run
 from dosplan.scenario import find_scenarios
 from dosplan.system.workers import WORKER_ENVIRONMENT
 from dosplan.types import Arm, Outcome
-from tests.support.fault_runs import command, configured, rows_in, until, untimed, write_scenes
-from tests.support.runs import run_here
+from tests.support.runs import command, configured, rows_in, run_here, until, untimed, write_scenes
 
 RUNS = ("processes", "serial")
 STOPPING = """
-from tests.faults.planners import coast
+from tests.support.plugins import coast
 from dosplan.api import Planner
 
 class StoppingPlanner(Planner):

@@ -32,11 +32,10 @@ from dosplan.scoring.score import failed_score
 from dosplan.system import workers
 from dosplan.system.files import FileError, read_json
 from dosplan.types import Arm, Outcome
-from tests.support import faulty, traffic
-from tests.support.runs import run_here
-from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+from tests.support import traffic
+from tests.support.plugins import PLUGINS
+from tests.support.runs import run_here, write_scenes
 
-FAULTY = Path(faulty.__file__)
 SHY = f"{traffic.__file__}:ShyTraffic"
 STEPS = 10
 
@@ -51,17 +50,7 @@ class NoExecutor:
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six scenarios of one second: the ego coasts at 10 m/s to a goal 8 to 12 m ahead."""
-    folder = tmp_path_factory.mktemp("scenes")
-    goal = Goal(first_step=0, last_step=STEPS, position=rectangle(4.0, 3.0, 20.0, 0.0))
-    for i in range(6):
-        name = f"ZAM_Test-{i}_1_T-1"
-        write_scenario_xml(
-            folder / f"{name}.xml",
-            users=[User(7, driving(60.0, 0.0, 5.0, STEPS + 1))],
-            problems=[Problem(goals=(goal,))],
-            benchmark_id=name,
-        )
-    return folder
+    return write_scenes(tmp_path_factory.mktemp("scenes"), 6, "ZAM_Test-{}_1_T-1")
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +63,8 @@ def _config(out: Path, scenes: Path, planner: str = "CoastPlanner", **changes: A
     config = RunConfig(
         out=out,
         source=str(scenes),
-        planner=f"{FAULTY}:{planner}",
-        predictor=f"{FAULTY}:StillPredictor",
+        planner=f"{PLUGINS}:{planner}",
+        predictor=f"{PLUGINS}:StillPredictor",
     )
     return replace(config, **changes)
 
@@ -196,7 +185,7 @@ def test_one_arm_alone_has_no_comparison(scenes: Path, tmp_path: Path) -> None:
         ({"workers": 1, "replan_every": 2}, "replan_every"),
         ({"seed": 1}, "seed"),
         ({"limit": 2}, "limit"),
-        ({"planner": f"{FAULTY}:SlowPlanner"}, "planner"),
+        ({"planner": f"{PLUGINS}:SlowPlanner"}, "planner"),
         ({"traffic": SHY}, "traffic"),
         ({"arms": (Arm.WITH_DOS,)}, "arms"),
         ({"ranked": False}, "ranked"),
@@ -219,7 +208,7 @@ def test_another_configuration_overwrites_nothing(
 def test_other_content_of_the_same_files_is_another_run(
     scenes: Path, tmp_path: Path, changed: str
 ) -> None:
-    shutil.copy(FAULTY, tmp_path / "planner.py")
+    shutil.copy(PLUGINS, tmp_path / "planner.py")
     shutil.copy(traffic.__file__, tmp_path / "traffic.py")
     shutil.copytree(scenes, tmp_path / "scenes")
     config = _config(tmp_path / "run", tmp_path / "scenes", limit=1)
@@ -315,7 +304,7 @@ def test_an_episode_that_never_began_names_the_traffic_and_leaves_no_old_file(
 def test_a_predictor_that_sees_the_recording_needs_traffic_that_keeps_to_it(
     scenes: Path, tmp_path: Path
 ) -> None:
-    seer = f"{FAULTY}:SeerPredictor"
+    seer = f"{PLUGINS}:SeerPredictor"
     config = _config(tmp_path / "run", scenes, predictor=seer, ranked=False, traffic=SHY)
     with pytest.raises(RunError, match=r"seer-v1 is shown the recording, which the traffic shy-v1"):
         run_here(config)
@@ -325,7 +314,7 @@ def test_a_predictor_that_sees_the_recording_needs_traffic_that_keeps_to_it(
 def test_a_predictor_that_sees_the_future_is_refused_or_marked(
     scenes: Path, tmp_path: Path
 ) -> None:
-    config = _config(tmp_path / "run", scenes, limit=1, predictor=f"{FAULTY}:SeerPredictor")
+    config = _config(tmp_path / "run", scenes, limit=1, predictor=f"{PLUGINS}:SeerPredictor")
     with pytest.raises(RunError, match=r"seer-v1 is shown the future.*--unranked"):
         run_here(config)
     assert not config.out.exists()
@@ -341,7 +330,7 @@ def test_a_predictor_that_sees_the_future_is_refused_or_marked(
         ({"predictor": "no-such"}, RegistryError),
         ({"traffic": "no-such"}, RegistryError),
         ({"traffic": SHY, "traffic_options": {"far": 1.0}}, RegistryError),
-        ({"traffic": f"{FAULTY}:CoastPlanner"}, RegistryError),
+        ({"traffic": f"{PLUGINS}:CoastPlanner"}, RegistryError),
         ({"planner_options": {"gain": 1.0}}, RegistryError),
         (
             {"planner": "TunedPlanner", "planner_options": {"acceleration": "fast"}},
@@ -488,7 +477,7 @@ def test_workers_end_with_a_runner_that_is_killed_and_print_to_stderr(
     scenes: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "run"
-    plugins = ["--planner", f"{FAULTY}:HangingPlanner", "--predictor", f"{FAULTY}:StillPredictor"]
+    plugins = ["--planner", f"{PLUGINS}:HangingPlanner", "--predictor", f"{PLUGINS}:StillPredictor"]
     command = [sys.executable, "-m", "dosplan", "run", str(scenes), *plugins, "--workers", "1"]
     command += ["--limit", "2", "--out", str(out)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

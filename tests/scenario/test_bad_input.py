@@ -33,8 +33,7 @@ from dosplan.system.files import FileError, file_name, write_text
 from dosplan.system.yaml_text import MAX_DEPTH, YamlError, parse_yaml
 from dosplan.types import Arm, Plan, ShapeError
 from tests.support import scenes
-from tests.support.fault_runs import configured, write_scenes
-from tests.support.runs import run_here
+from tests.support.runs import configured, run_here, write_scenes
 from tests.support.scenes import Goal, Problem, User, scenario_xml
 
 GOOD = scenario_xml(scenes.straight_road(), [User(7, scenes.driving(50.0, 0.0, 5.0, 5))])

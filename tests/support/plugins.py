@@ -1,17 +1,26 @@
-"""Planners and a predictor for the runner's tests: one that works, several that do not.
+"""Planners and predictors of the tests: some that work, and some that fail in every way.
 
-Loaded by the runner as ``faulty.py:Class``, by its worker processes too.
+Worker processes load them as ``plugins.py:Class``, also where the folder ``tests`` is on no path:
+nothing is imported from it here.
 """
 
 from __future__ import annotations
 
+import os
+import re
+import signal
+import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from dosplan.api import NoSettings, OraclePredictor, Planner, Predictor
+from dosplan.scenario.synthetic import growing_sets
 from dosplan.types import (
     EGO_SIZE,
     FloatArray,
@@ -24,6 +33,7 @@ from dosplan.types import (
 )
 from dosplan.vehicle import VehicleParameters
 
+PLUGINS: Final = Path(__file__)
 HORIZON = 10
 
 
@@ -62,7 +72,7 @@ class SlowPlanner(Planner):
     name = "slow-v1"
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
-        time.sleep(0.06)
+        time.sleep(0.03)
         return coast(observation)
 
 
@@ -193,6 +203,15 @@ class StillPredictor(Predictor):
         )
 
 
+class GrowingPredictor(Predictor):
+    """Everyone keeps their velocity, in ellipses that grow."""
+
+    name = "growing-v1"
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        return growing_sets(observation, self.horizon)
+
+
 class SeerPredictor(StillPredictor, OraclePredictor):
     """Is shown the future, and makes nothing of it."""
 
@@ -200,3 +219,101 @@ class SeerPredictor(StillPredictor, OraclePredictor):
 
     def reveal(self, tracks: Tracks) -> None:
         pass
+
+
+# Faults; the number of the scenario says which.
+
+EATEN: list[bytearray] = []
+BEGUN = "FAULTS_BEGUN"
+"""Names a folder in which each fault leaves a file of its name before it happens, if set."""
+
+
+def _raise() -> None:
+    raise ValueError("no way\nto go")
+
+
+def _interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+def _eat() -> None:
+    while True:
+        EATEN.append(bytearray(b"x") * 20_000_000)  # Written, not only reserved.
+        time.sleep(0.01)
+
+
+def _eat_with_the_lock() -> None:
+    EATEN.append(bytearray(b"x") * 8_000_000_000)  # One call, during which no Python runs.
+
+
+def _hang_with_the_lock() -> None:
+    re.match(r"(a+)+$", "a" * 64 + "b")  # Takes longer than anybody waits, in one call.
+
+
+def _start_a_child() -> None:
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(3600)"])
+    with Path(os.environ["CHILD_PID_FILE"]).open("a") as file:
+        file.write(f"{child.pid}\n")
+
+
+def _leave_a_child() -> None:
+    _start_a_child()
+    os._exit(5)
+
+
+def _hang_with_a_child() -> None:
+    _start_a_child()
+    time.sleep(3600.0)
+
+
+FAULTS: dict[str, tuple[Callable[[], Any], str]] = {
+    "fine": (lambda: None, ""),
+    "raise": (_raise, "planner fault-v1: ValueError: no way to go (plugins.py:"),
+    "interrupt": (_interrupt, "KeyboardInterrupt:"),
+    "exit": (lambda: sys.exit("enough"), "planner fault-v1: SystemExit: enough (plugins.py:"),
+    "exit-3": (lambda: os._exit(3), "the worker process ended with exit code 3"),
+    "exit-0": (lambda: os._exit(0), "the worker process ended with exit code 0"),
+    "segv": (
+        lambda: os.kill(os.getpid(), signal.SIGSEGV),
+        "the worker process was killed by SIGSEGV",
+    ),
+    "abort": (os.abort, "the worker process was killed by SIGABRT"),
+    "kill": (
+        lambda: os.kill(os.getpid(), signal.SIGKILL),
+        "the worker process was killed by SIGKILL",
+    ),
+    "term": (
+        lambda: os.kill(os.getpid(), signal.SIGTERM),
+        "the worker process ended with exit code 15",
+    ),
+    "stop": (lambda: os.kill(os.getpid(), signal.SIGSTOP), "timed out after "),
+    "hang": (lambda: time.sleep(3600.0), "timed out after "),
+    "hang-with-child": (_hang_with_a_child, "timed out after "),
+    "hang-locked": (_hang_with_the_lock, "timed out after "),
+    "eat": (_eat, "took more than the memory limit of 700 MB"),
+    "eat-locked": (_eat_with_the_lock, "took more than the memory limit of 700 MB"),
+    "recurse": (lambda: _recurse(0), "planner fault-v1: RecursionError:"),
+    "close-files": (lambda: os.closerange(3, 256), "the worker process ended with exit code"),
+    "child": (_leave_a_child, "the worker process ended with exit code 5"),
+}
+NAMES = list(FAULTS)
+
+
+def _recurse(depth: int) -> int:
+    return _recurse(depth + 1) + 1
+
+
+class FaultPlanner(Planner):
+    """Does in its third step what the scenario's number stands for."""
+
+    name = "fault-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        if observation.step == 2:
+            number = re.search(r"-(\d+)_", observation.task.scenario_id)
+            assert number is not None
+            name = NAMES[int(number[1])]
+            if begun := os.environ.get(BEGUN):
+                Path(begun, name).touch()
+            FAULTS[name][0]()
+        return coast(observation)

@@ -190,7 +190,7 @@ def test_workers_drive_with_the_neighbours_and_a_changed_one_is_another_run(tmp_
     rows = read_rows(run(other).rows)
     assert {row.outcome for row in rows} != {Outcome.SUCCESS}
     (tmp_path / "mine" / "tuning.py").write_text("ACCELERATION = 0.0  # As before.\n")
-    with pytest.raises(RunError, match="another content of its planner, predictor, weight or"):
+    with pytest.raises(RunError, match="another content of its plug-in, weight or"):
         run(config)
     assert read_rows(RunFolder(config.out).rows)
 

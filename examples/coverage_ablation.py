@@ -10,7 +10,7 @@ if __name__ == "__main__":
             predictor="dos",
             predictor_options={"coverage": coverage},
             arms=(dosplan.Arm.WITH_DOS,),
-            limit=2,  # For a figure that means something: leave this out, and the planner too.
+            limit=1,  # For a figure that means something: leave this out, and the planner too.
             out=f"runs/coverage-{coverage}",
         )
         arm = results.summary.arms[dosplan.Arm.WITH_DOS]

@@ -181,7 +181,7 @@ def test_sets_are_driven_around_any_predictor(tmp_path: Path) -> None:
         "--predictor", "dos", "--set", "predictor.base=constant-velocity",
         "--set", "predictor.base.horizon=50",
     ]  # fmt: skip
-    out = ["--out", str(tmp_path / "run"), "--workers", "1"]
+    out = ["--out", str(tmp_path / "run"), "--in-process"]
     arguments = ["run", str(scenes), *COAST, *nested, *out]
     assert main(arguments) == cli.OK
     run = RunFolder(tmp_path / "run")

@@ -14,8 +14,11 @@ Definitions
   that crashed is a row with its traceback. The paper counts success = neither collision nor
   out-of-bounds: report that as `safe` beside `success`. An episode that failed was not driven to
   its end and is not called safe.
-- **Road**: the drivable area is the union of all lanelets; gaps between them of up to 0.2 m, less
-  than a tyre's width, are closed.
+- **Road**: the drivable area is the union of the lanelets that are carriageway by their type and
+  users: footways, bicycle lanes and crossings that are nothing else are not; bus lanes are, though
+  no route leads along them. Gaps between lanelets of up to 0.2 m, less than a tyre's width, are
+  closed. An open end of the map is no edge of the road: 5 m beyond it count as road. CommonRoad's
+  checker counts every lanelet as road, and an open end as an edge.
 - **Fault** of a collision: nuPlan's classes. Report collision rate and at-fault collision rate.
 - **Velocity**: mean ego speed over the steps driven, m/s, averaged over scenarios. Progress,
   comfort, time-to-collision, cycle time p50/p99 beside it.

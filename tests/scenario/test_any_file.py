@@ -378,6 +378,7 @@ _START = '<planningProblem id="1000"><initialState>'
         ('<dynamicObstacle id="7">', '<dynamicObstacle id="seven">', "obstacle has the id 'seven'"),
         ('timeStepSize="0.1"', 'timeStepSize="-3"', "its timeStepSize is -3 s; give it a length"),
         ('timeStepSize="0.1"', 'timeStepSize="a"', "its timeStepSize is 'a', no number"),
+        (' commonRoadVersion="2020a"', "", "names no commonRoadVersion; it may be 2018b or 2020a"),
         ('commonRoadVersion="2020a"', 'commonRoadVersion="2024a"',
          "has CommonRoad version 2024a; convert it to 2018b or 2020a"),
     ],
@@ -427,8 +428,7 @@ def test_an_l_is_two_rectangles(tmp_path: Path) -> None:
     true = shapely.Polygon(to_world(L, np.array([10.0, 20.0, 0.3])))
     assert shapely.symmetric_difference(covered(tracks), true).area == pytest.approx(0, abs=1e-6)
     assert scenario.notes == (
-        f"obstacle 7: it is not convex; its pieces are the road users 7 and {tracks.ids[1]} to "
-        f"{tracks.ids[1]}",
+        f"obstacle 7: it is not convex; its pieces are the road users 7 and {tracks.ids[1]}",
     )
 
 

@@ -225,6 +225,7 @@ def _objection(root: ElementTree.Element) -> str | None:
     version = root.get("commonRoadVersion")
     checks = (
         (root.tag != "commonRoad", f"is a <{root.tag}>, not a CommonRoad scenario"),
+        (version is None, f"names no commonRoadVersion; it may be {' or '.join(VERSIONS)}"),
         (
             version not in VERSIONS,
             f"has CommonRoad version {version}; convert it to {' or '.join(VERSIONS)}",

@@ -337,9 +337,10 @@ def _tracks(
     for obstacle in read:
         own = [obstacle.id, *(next(fresh) for _ in obstacle.bodies[1:])]
         if len(own) > 1:
+            others = str(own[1]) if len(own) == 2 else f"{own[1]} to {own[-1]}"
             notes.append(
                 f"obstacle {obstacle.id}: it is not convex; its pieces are the road users "
-                f"{obstacle.id} and {own[1]} to {own[-1]}"
+                f"{obstacle.id} and {others}"
             )
         ids += own
         owners += [obstacle] * len(own)

@@ -15,7 +15,7 @@ from dosplan.cli.main import main
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import Recording
 from dosplan.running.run import RunError
-from dosplan.scenario import ScenarioError
+from dosplan.scenario import ScenarioError, load_scenario
 from dosplan.scenario.commonroad.solution import Trajectory, solution_xml
 from dosplan.types import Arm, FloatArray
 from dosplan.vehicle import VehicleParameters
@@ -103,6 +103,16 @@ def test_shorter_steps_of_a_file_follow_from_the_model(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(states[:, 2]), 0.005)
     gaps = np.hypot(*np.diff(states[:, :2], axis=0).T)
     np.testing.assert_allclose(gaps, 0.5 * (states[1:, 3] + states[:-1, 3]) * 0.05, rtol=1e-3)
+
+
+def test_steps_that_no_multiple_meets_begin_where_the_ego_starts(tmp_path: Path) -> None:
+    """Steps of 0.04 s: from step 7, 0.28 s, four steps of 0.1 s are ten, up to step 17."""
+    path = write_scenario_xml(tmp_path / "x.xml", problems=[Problem(1000, start_step=7)], dt=0.04)
+    drive = driven(4, start_step=load_scenario(path).task.start_step)
+    steps, states = read(solution_xml(path, {None: drive}, DATE))[1][1000]
+    assert steps == list(range(7, 18))
+    np.testing.assert_array_equal(states[::5], as_written(drive.states[::2]))
+    np.testing.assert_allclose(np.diff(states[:, 3]), 0.04)
 
 
 def test_problems_are_in_the_order_of_the_file(tmp_path: Path) -> None:

@@ -19,10 +19,9 @@ from dosplan.evaluation.samples import FileSamples, PredictionError, sample_file
 from dosplan.evaluation.summary import scales, summarise
 from dosplan.evaluation.windows import HORIZON_COLUMNS, moments
 from dosplan.plugins.registry import create_predictor
-from dosplan.scenario.synthetic import straight_scenario
+from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.system.files import read_json
 from dosplan.types import FloatArray, Observation, Occupancy, RoadUserKind, Scenario
-from tests.support.factories import steady_tracks
 from tests.support.plugins import PLUGINS
 from tests.support.scenes import User, driving, write_scenario_xml
 

@@ -17,8 +17,9 @@ from dosplan.geometry import (
     ReferencePath,
     braking_envelope,
 )
+from dosplan.scenario.synthetic import straight_route
 from dosplan.types import FloatArray
-from tests.support.factories import arc_route, straight_route
+from tests.support.factories import arc_route
 
 RADIUS = 30.0
 ARC = arc_route(RADIUS, length=100.0)

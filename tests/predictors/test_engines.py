@@ -24,9 +24,9 @@ from shapely.geometry import box
 from dosplan.cli.command import CommandError
 from dosplan.plugins.registry import RegistryError, choose_predictor
 from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
+from dosplan.scenario.synthetic import steady_tracks
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, Occupancy, RoadMap, RoadUserKind
-from tests.support.factories import steady_tracks
 from tests.support.models import save_network, save_sets, seen_at
 
 pytest.importorskip("onnxruntime", reason='needs onnxruntime: pip install "dosplan[onnx]"')

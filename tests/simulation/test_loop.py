@@ -22,7 +22,7 @@ from dosplan_simple.sets import ErrorCirclePredictor, FixedCirclePredictor, Grow
 from shapely.geometry import box
 
 from dosplan.api import Planner, Predictor
-from dosplan.scenario.synthetic import busy_scenario
+from dosplan.scenario.synthetic import busy_scenario, steady_tracks, straight_scenario
 from dosplan.simulation.loop import SimulationConfig, run_episode
 from dosplan.simulation.world import World
 from dosplan.types import (
@@ -39,7 +39,6 @@ from dosplan.types import (
     Scenario,
 )
 from dosplan.vehicle import VehicleParameters
-from tests.support.factories import steady_tracks, straight_scenario
 
 PREDICTORS: list[type[Predictor]] = [
     NonePredictor,

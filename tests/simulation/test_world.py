@@ -11,12 +11,11 @@ from dosplan_baseline.cruise import CruisePlanner
 from dosplan_simple.predictors import GroundTruthPredictor, NonePredictor
 
 from dosplan.api import PluginError
-from dosplan.scenario.synthetic import busy_scenario
+from dosplan.scenario.synthetic import busy_scenario, steady_tracks, straight_scenario
 from dosplan.simulation.loop import run_episode
 from dosplan.simulation.traffic import Replay, RoadUsers
 from dosplan.simulation.world import World, watch
 from dosplan.types import EGO_SIZE, Arm, EpisodeEnd, FloatArray, Scenario, ShapeError, Tracks
-from tests.support.factories import steady_tracks, straight_scenario
 from tests.support.traffic import LostTraffic, ShyTraffic, braking_before, followed
 
 COAST = np.zeros(2)

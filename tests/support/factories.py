@@ -1,29 +1,11 @@
-"""Scenes and small objects that several tests share."""
+"""Small objects that several tests share, beside those of ``dosplan.scenario.synthetic``."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from dosplan.scenario.synthetic import (
-    CAR_SIZE,
-    LANE_WIDTH,
-    steady_tracks,
-    straight_map,
-    straight_route,
-    straight_scenario,
-)
+from dosplan.scenario.synthetic import CAR_SIZE
 from dosplan.types import FloatArray, Occupancy, Route
-
-__all__ = [
-    "CAR_SIZE",
-    "LANE_WIDTH",
-    "arc_route",
-    "occupancy_at",
-    "steady_tracks",
-    "straight_map",
-    "straight_route",
-    "straight_scenario",
-]
 
 
 def arc_route(radius: float, length: float = 200.0, spacing: float = 0.5) -> Route:

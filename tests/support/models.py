@@ -17,9 +17,9 @@ from dosplan_net.network import NetworkConfig, TrajectoryNetwork
 from dosplan_net.weights import save_weights
 from shapely import affinity
 
+from dosplan.scenario.synthetic import straight_scenario
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, RoadMap, Scenario, Tracks
-from tests.support.factories import straight_scenario
 
 torch.set_num_threads(1)  # For models this small more threads only cost time.
 

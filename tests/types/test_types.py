@@ -7,7 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dosplan.scenario.synthetic import busy_scenario, growing_sets
+from dosplan.scenario.synthetic import (
+    busy_scenario,
+    growing_sets,
+    steady_tracks,
+    straight_route,
+    straight_scenario,
+)
 from dosplan.simulation.world import World
 from dosplan.types import (
     Episode,
@@ -21,7 +27,7 @@ from dosplan.types import (
     SolveStatus,
     Tracks,
 )
-from tests.support.factories import occupancy_at, steady_tracks, straight_route, straight_scenario
+from tests.support.factories import occupancy_at
 
 
 def test_arrays_are_read_only_and_the_given_ones_stay_writable() -> None:

@@ -26,7 +26,13 @@ from shapely.geometry import Polygon, box
 
 from dosplan.api import Planner
 from dosplan.geometry import ReferencePath
-from dosplan.scenario.synthetic import growing_sets
+from dosplan.scenario.synthetic import (
+    LANE_WIDTH,
+    growing_sets,
+    steady_tracks,
+    straight_route,
+    straight_scenario,
+)
 from dosplan.simulation.loop import SimulationConfig, run_episode
 from dosplan.simulation.world import World
 from dosplan.types import (
@@ -41,14 +47,7 @@ from dosplan.types import (
     Scenario,
 )
 from dosplan.vehicle import VehicleParameters
-from tests.support.factories import (
-    LANE_WIDTH,
-    arc_route,
-    occupancy_at,
-    steady_tracks,
-    straight_route,
-    straight_scenario,
-)
+from tests.support.factories import arc_route, occupancy_at
 
 VEHICLE = VehicleParameters()
 FRONT = VEHICLE.rear_to_centre + 0.5 * VEHICLE.length

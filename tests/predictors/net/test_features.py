@@ -26,9 +26,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from dosplan.scenario.synthetic import busy_scenario, crowded_scenario, straight_map
+from dosplan.scenario.synthetic import busy_scenario, crowded_scenario, steady_tracks, straight_map
 from dosplan.types import FloatArray, Lanelet, RoadMap, RoadUserKind
-from tests.support.factories import steady_tracks
 from tests.support.models import moved, seen, seen_at, turned
 
 EMPTY_MAP = RoadMap((), Polygon())

@@ -10,9 +10,8 @@ from dosplan_net.predictor import NetPredictor, NetSettings, placed
 
 from dosplan.api import PluginSpec
 from dosplan.plugins.conformance import check_predictor
-from dosplan.scenario.synthetic import busy_scenario, crowded_scenario
+from dosplan.scenario.synthetic import busy_scenario, crowded_scenario, steady_tracks
 from dosplan.types import FloatArray, RoadUserKind
-from tests.support.factories import steady_tracks
 from tests.support.models import moved, save_network, seen, seen_at, turned
 
 

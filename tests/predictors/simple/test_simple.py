@@ -29,10 +29,14 @@ from dosplan_simple.sets import (
 )
 
 from dosplan.api import PluginError, PluginSpec, Predictor, PredictorSettings
-from dosplan.scenario.synthetic import busy_scenario, crowded_scenario
+from dosplan.scenario.synthetic import (
+    busy_scenario,
+    crowded_scenario,
+    steady_tracks,
+    straight_scenario,
+)
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, RoadUserKind, Tracks
-from tests.support.factories import steady_tracks, straight_scenario
 
 SHORT = ConstantVelocityPredictor(settings=PredictorSettings(horizon=3))
 CV_TABLE = ErrorTable("constant-velocity-v1", 0.1, (0.5, 1.0, 2.0), (9, 9, 9), "by hand")

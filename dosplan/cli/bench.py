@@ -19,11 +19,7 @@ class BenchCommand:
     summary = "measure how batches scale on this machine"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         add_json(parser)
         parser.add_argument("what", choices=("scale",), help="what to measure")
         parser.add_argument("--planner", default="mpc", metavar="NAME", help="default: %(default)s")
@@ -47,12 +43,6 @@ class BenchCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Measures.
-
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
 
         Raises:
             RegistryError: A plug-in cannot be found.

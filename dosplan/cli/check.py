@@ -19,11 +19,7 @@ class CheckCommand:
     summary = "check that a planner or predictor keeps the contract"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         add_json(parser)
         parser.add_argument("name", metavar="NAME", help=PLUGIN_HELP)
         parser.add_argument(
@@ -36,9 +32,6 @@ class CheckCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Checks, and shows every check.
-
-        Args:
-            options: The arguments.
 
         Returns:
             0; 1 where a check failed.

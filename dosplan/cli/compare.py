@@ -15,11 +15,7 @@ class CompareCommand:
     summary = "compare two runs, or the two arms of one, scenario by scenario"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         add_json(parser)
         parser.add_argument(
             "--html", type=Path, metavar="FILE", help="write a page, with a player, there"
@@ -32,12 +28,6 @@ class CompareCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Compares.
-
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
 
         Raises:
             CompareError: The runs cannot be compared.

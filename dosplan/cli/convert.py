@@ -23,11 +23,7 @@ class ConvertCommand:
     summary = "make CommonRoad files of a record of another data set: SinD"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.epilog = _EXAMPLES
         add_json(parser)
         parser.add_argument("format", choices=("sind",), help="format of the record")
@@ -49,12 +45,6 @@ class ConvertCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Converts, and shows what was made.
-
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
 
         Raises:
             ScenarioError: The record or its map cannot be used.

@@ -23,11 +23,7 @@ class EvaluateCommand:
     summary = "measure how well predictors' sets hold the recorded future"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.epilog = _EXAMPLES
         add_json(parser)
         parser.add_argument("source", metavar="SOURCE", help=SOURCE_HELP)
@@ -67,9 +63,6 @@ class EvaluateCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Measures; what cannot be read is told on stderr.
-
-        Args:
-            options: The arguments.
 
         Returns:
             0; 1 where a file could not be evaluated.

@@ -22,11 +22,7 @@ class ExplainCommand:
     summary = "say why an episode of a run ended as it did"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.epilog = _EXAMPLES
         add_json(parser)
         parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
@@ -40,12 +36,6 @@ class ExplainCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Explains.
-
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
 
         Raises:
             FileError: The run folder holds no such episode, its scenario cannot be found, or a

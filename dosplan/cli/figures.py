@@ -23,11 +23,7 @@ class FiguresCommand:
     summary = "write the paper's figures from the published results, as PNG and PDF"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         listed = "\n".join(f"  {name:<18} {shows}" for name, shows in FIGURES.items())
         parser.epilog = f"figures:\n{listed}\n\n{_EXAMPLES}"
         parser.add_argument(
@@ -49,9 +45,6 @@ class FiguresCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Draws; what is missing for one figure costs that figure alone.
-
-        Args:
-            options: The arguments.
 
         Returns:
             0; 1 where a figure could not be drawn, which stderr has a line on.

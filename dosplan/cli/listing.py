@@ -18,11 +18,7 @@ class ListCommand:
     summary = "list plug-ins or scenarios"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         add_json(parser)
         parser.add_argument(
             "what",
@@ -40,12 +36,6 @@ class ListCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Lists.
-
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
 
         Raises:
             ScenarioError: There are no scenarios.

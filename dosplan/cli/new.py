@@ -27,11 +27,7 @@ class NewCommand:
     summary = "write a planner or predictor to begin with: one file that works"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.epilog = _EXAMPLES
         parser.add_argument("kind", choices=("planner", "predictor"), help="what to write")
         parser.add_argument("name", metavar="NAME", help="its name, such as careful or my_idea")
@@ -45,12 +41,6 @@ class NewCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Writes the file, and shows what to do with it.
-
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
 
         Raises:
             CommandError: The name cannot be used, the file exists or cannot be written.

@@ -36,11 +36,7 @@ class RenderCommand:
     summary = "draw an episode or a scenario: a GIF, a video or a picture"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.epilog = _EXAMPLES
         parser.add_argument(
             "what",
@@ -82,9 +78,6 @@ class RenderCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Draws.
-
-        Args:
-            options: The arguments.
 
         Returns:
             0; 1 where a planner that was to drive first failed, which is drawn as far as it came

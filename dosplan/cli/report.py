@@ -16,11 +16,7 @@ class ReportCommand:
     summary = "write the page of a run: figures, plots, and a player for every episode"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.add_argument("run_folder", type=Path, metavar="RUN", help="a run folder")
         parser.add_argument(
             "--out", type=Path, metavar="FILE", help="where to write it (default: RUN/report.html)"
@@ -29,12 +25,6 @@ class ReportCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Writes the page.
-
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
 
         Raises:
             FileError: It is not the folder of a finished run, or the file cannot be written.

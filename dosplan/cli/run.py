@@ -42,11 +42,7 @@ class RunCommand:
     summary = "drive and score scenarios with a planner and a predictor"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.epilog = _EXAMPLES
         add_json(parser)
         parser.add_argument(
@@ -57,9 +53,6 @@ class RunCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Drives, and shows the figures of the run.
-
-        Args:
-            options: The arguments.
 
         Returns:
             0; 1 where an episode is a planner failure; 130 where the run was interrupted.

@@ -22,11 +22,7 @@ class ScoreCommand:
     summary = "score a run again from its episode files, without driving"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.epilog = _EXAMPLES
         add_json(parser)
         parser.add_argument("run_folder", type=Path, metavar="RUN", help="the folder of a run")
@@ -39,9 +35,6 @@ class ScoreCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Scores, and shows which rows differ.
-
-        Args:
-            options: The arguments.
 
         Returns:
             0 where every row is as it was, or was written; 1 where one differs.

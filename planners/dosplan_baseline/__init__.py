@@ -1,1 +1,1 @@
-"""Planners without optimisation: the yardsticks that every other planner must beat."""
+"""Planners without optimisation: references that every other planner should beat."""

@@ -1,4 +1,4 @@
-"""``brake-v1``: brakes to a standstill on the path, whatever happens."""
+"""``brake-v1``: brakes to a standstill on the path and ignores the road users."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Planners that follow the path with one acceleration, whatever happens."""
+"""Planners that follow the path with one acceleration and ignore the road users."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class ConstantAccelerationPlanner(Planner):
     acceleration: float = 0.0
 
     def __init__(self, *, seed: int = 0, settings: Any = NoSettings()) -> None:
-        """Waits for an episode.
+        """Makes the planner; an episode begins with ``reset``.
 
         Args:
             seed: Seed of the run; nothing here is random.
@@ -30,13 +30,7 @@ class ConstantAccelerationPlanner(Planner):
         self._follower: PathFollower | None = None
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
-        """Prepares the path.
-
-        Args:
-            task: Start, goal and route.
-            road_map: The map.
-            vehicle: The ego's parameters.
-        """
+        """Prepares the path."""
         self._follower = PathFollower(extended_path(task.route), vehicle, task.dt)
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
@@ -44,7 +38,7 @@ class ConstantAccelerationPlanner(Planner):
 
         Args:
             observation: What is known now.
-            occupancy: Not looked at.
+            occupancy: Not used.
 
         Returns:
             The plan.

@@ -1,6 +1,6 @@
-"""``cruise-v1``: keeps its speed along the route, whoever is in the way.
+"""``cruise-v1``: keeps its speed along the route and ignores the road users.
 
-A scenario that this planner solves asks for no interaction.
+A scenario that this planner solves needs no interaction.
 """
 
 from __future__ import annotations

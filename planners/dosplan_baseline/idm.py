@@ -39,9 +39,9 @@ class IdmSettings:
         deceleration: Comfortable deceleration, m/s2.
         exponent: How late the acceleration falls off as the desired velocity comes near.
         full_braking: Largest deceleration, m/s2.
-        lateral_acceleration: With which bends are taken, m/s2.
-        least_velocity: Smallest desired velocity, m/s; with none, a vehicle would never arrive.
-        side_margin: Distance on either side of the ego that makes its corridor, m.
+        lateral_acceleration: Lateral acceleration in bends, m/s2.
+        least_velocity: Smallest desired velocity, m/s; at zero a vehicle would never arrive.
+        side_margin: Distance that is added on either side of the ego to give its corridor, m.
         goal_margin: Distance from either end of the goal's region that is aimed at, m.
         searched_steps: Predicted steps in which a leader is looked for; the default is the time
             gap.
@@ -124,9 +124,9 @@ def find_leaders(
 ) -> Leaders:
     """Road users whose set, with their footprint, enters the ego's corridor within a time gap.
 
-    A set is searched at each of the next steps. What it blocks is moved back to the present by
-    the way its road user makes along the path until then, so that a steady leader has the same
-    gap at every step, and one that cuts in is seen before it is there.
+    Each of the next steps is searched. The stretch that a set blocks is moved back to the present
+    by the distance that its road user covers along the path until then. So a leader at constant
+    speed has the same gap at every step, and one that cuts in is found before it does.
 
     Args:
         path: The ego's path.
@@ -217,10 +217,7 @@ class IdmEpisode:
         return self._follower.roll_out(observation.ego, acceleration)
 
     def desired_velocity(self, observation: Observation) -> float:
-        """The speed of the start, changed as little as the goal's place, time and speed ask.
-
-        Args:
-            observation: What is known now.
+        """The start's speed, changed only as far as the goal's region, time and speed require.
 
         Returns:
             m/s.
@@ -254,13 +251,7 @@ class IdmPlanner(Planner):
         self._episode: IdmEpisode | None = None
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
-        """Begins an episode.
-
-        Args:
-            task: Start, goal and route.
-            road_map: The map.
-            vehicle: The ego's parameters.
-        """
+        """Begins an episode."""
         self._episode = IdmEpisode(self._settings, task, vehicle)
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:

@@ -1,4 +1,4 @@
-"""``dosplan compile``: makes the planner's problems machine code, once per machine."""
+"""``dosplan compile``: compiles the planner's problems to machine code, once per machine."""
 
 from __future__ import annotations
 
@@ -15,11 +15,7 @@ class CompileCommand:
     summary = "compile the problems of the planner mpc, which solves them quicker then"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.description = (
             "Takes a C compiler ($CC, or else cc, gcc or clang) and minutes, once; plans stay the "
             "same to the last bit."
@@ -28,12 +24,6 @@ class CompileCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Compiles, and says what was made and where.
-
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
 
         Raises:
             CommandError: There is no compiler, or it fails.

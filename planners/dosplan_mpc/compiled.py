@@ -35,7 +35,7 @@ from dosplan.system.folders import cache_folder
 _NAME: Final = "mpc"
 _SOLVER: Final = "fatrop"
 _COMPILERS: Final = ("cc", "gcc", "clang")
-# More optimisation takes far longer and gains nothing; a fused multiply-add rounds otherwise.
+# More optimisation takes far longer and gains nothing; a fused multiply-add rounds differently.
 _FLAGS: Final = ("-O1", "-fPIC", "-shared", "-ffp-contract=off")
 
 
@@ -81,7 +81,7 @@ class Formulation:
         """
         path = self.library()
         if _digest_file(path).exists():
-            with contextlib.suppress(RuntimeError):  # CasADi's way of saying that it cannot load.
+            with contextlib.suppress(RuntimeError):  # Raised where it cannot be loaded.
                 if is_whole(path):
                     return ca.nlpsol(_NAME, _SOLVER, str(path), self.options)
             warnings.warn(
@@ -112,10 +112,10 @@ class Formulation:
                 raise CompileError(f"cannot run {compiler[0]}: {error.strerror}") from None
             except subprocess.CalledProcessError as error:
                 lines = error.stderr.splitlines() or [f"exit code {error.returncode}"]
-                telling = min(lines, key=lambda line: "error" not in line)  # The first of them.
-                raise CompileError(f"{shlex.join(compiler)} failed: {telling}") from None
+                first_error = min(lines, key=lambda line: "error" not in line)
+                raise CompileError(f"{shlex.join(compiler)} failed: {first_error}") from None
             data = library.read_bytes()
-        # A process that looks in between finds a library without a digest and does not load it.
+        # Until the digest is written, another process finds a library without one and ignores it.
         _digest_file(path).unlink(missing_ok=True)
         write_bytes(path, data)
         write_text(_digest_file(path), sha256(data).hexdigest())

@@ -64,7 +64,7 @@ class PathSettings:
         swing: Room beyond the lane's edge that the ego may use in a bend, by its curvature, m2.
         swing_reach: How far before and after a bend it may do so, m.
         widest_swing: Largest such room, m.
-        end_margin: Distance that the ego's front keeps from the end of the map, m.
+        end_margin: Distance between the ego's front and the end of the map, m.
     """
 
     edge_reach: float = 0.55
@@ -172,7 +172,7 @@ class TrafficSettings:
         behind: Distance within which a follower counts, m.
         standstill_gap: Gap to a standing leader, m.
         headway: Time gap to a leader, s.
-        pressing: Time gap below which a follower presses, s.
+        pressing: Time gap below which a follower counts as close behind, s.
         gap_gain: Share of the gap's error that is closed in a second, 1/s.
     """
 
@@ -228,7 +228,7 @@ class SamplerSettings:
         shortest_manoeuvre: Shortest way to it, m; a car cannot change its lane on the spot.
         lane: Offset of a candidate that goes to the next lane, m.
         edge_distance: Distance ahead at which the road's edges bound the lateral targets, m.
-        steepest: Largest angle to the path that the tracking law reacts to, rad.
+        steepest: Angle to the path at which the tracking law's input is limited, rad.
         lookahead_seconds: The tracking law closes an error over the way of this time, s.
         shortest_lookahead: And over no shorter way than this, m.
         slip_penalty: Distance off the road that leaving the friction circle by its radius is
@@ -285,14 +285,14 @@ class MpcConfig:
         far_penalty: Share of it that counts at the last step; linear between.
         road_penalty: Exact penalty on leaving the corridor, 1/m.
         slack_curvature: Small square of the slacks, which keeps the problem strictly convex.
-        norm_rounding: Rounds the tip of a set's norm, where it has no derivative.
+        norm_rounding: Smooths the norm of a set at its centre, where it has no derivative.
         clearance: Distance that is kept from every set, m.
         road_margin: Distance that is kept from the corridor's edge, m.
         calm: How the reference speed is driven.
-        hurried: The same where a deadline cannot be met otherwise.
-        utmost: The same where it cannot be met even so.
+        hurried: The same where ``calm`` misses a goal's deadline.
+        utmost: The same where ``hurried`` misses it too.
         grip: Share of the friction circle that a plan may use.
-        resample_every: Cycles between two looks at the sampled alternatives.
+        resample_every: Cycles after which alternatives are sampled in any case.
         max_iterations: Iterations the solver is given.
         tolerance: Tolerance of the solver.
         initial_barrier: Barrier parameter the solver begins with; a small one keeps it near a good

@@ -48,13 +48,13 @@ _SEEN = 1e-3  # Slack of a set from which on its road user is reported as active
 
 @dataclass(frozen=True)
 class _LastCycle:
-    """What a cycle leaves to the next one.
+    """What the next cycle needs of the last one.
 
     Attributes:
         step: Its step.
         guess: What it planned.
         slack: Largest slack of a set.
-        cycles: Number of cycles since the plan was last given up.
+        cycles: Number of cycles since the plan was last replaced by another one.
     """
 
     step: int
@@ -65,11 +65,11 @@ class _LastCycle:
 
 @dataclass(frozen=True)
 class _Scene:
-    """What one cycle plans with.
+    """The inputs of one planning cycle.
 
     Attributes:
         start: (6,) present state and previous acceleration.
-        ego: Where that is on the path.
+        ego: The same relative to the path.
         profile: Reference of the next steps.
         sets: Forbidden sets of the road users nearby.
     """
@@ -81,7 +81,7 @@ class _Scene:
 
 
 class _Attempt(NamedTuple):
-    """A solution and the sets that it was asked to keep out of."""
+    """A solution and the sets that were its constraints."""
 
     solution: Solution
     sets: ForbiddenSets
@@ -97,12 +97,12 @@ class MpcEpisode:
         road_map: RoadMap,
         vehicle: VehicleParameters,
     ) -> None:
-        """Lays out path and goals.
+        """Makes the path and finds the goals along it.
 
         Args:
             config: Settings.
             task: Start, goal and route.
-            road_map: The map; where the path leaves it, the ego has to be done.
+            road_map: The map; the ego has to stop before the path leaves it.
             vehicle: The ego.
         """
         self._config = config
@@ -144,11 +144,11 @@ class MpcEpisode:
         return _plan(observation, self._last.guess, report)
 
     def _look(self, observation: Observation, occupancy: Occupancy) -> _Scene:
-        """Where the ego is, what it refers to, and what it keeps out of."""
+        """Where the ego is, its reference, and the sets it keeps out of."""
         ego = self._locate(observation)
         self._arclength = ego.arclength
         traffic = self._lane.look_around(observation, ego)
-        # Recordings end, and so do their maps: what is left of both has to go together.
+        # The road that is left on the map has to last until the final step.
         left = max(self._final_step - observation.step, 1) * self._dt
         cruise = min(traffic.cruise, max(self._farthest - ego.position, 0.0) / left)
         profile = self._speed.plan(ego, replace(traffic, cruise=cruise))
@@ -221,7 +221,7 @@ class MpcEpisode:
         return candidates.guess(best), float(costs[best])
 
     def _cost_of(self, guess: Guess, scene: _Scene) -> float:
-        """What the rating of candidates says of a guess."""
+        """Cost of a guess by the rating of candidates."""
         s, offset = self._path.project(guess.states[:, :2], guess.arclength)
         states = guess.states.copy()
         states[1:, PREVIOUS_ACCELERATION] = guess.inputs[:, ACCELERATION]
@@ -250,7 +250,7 @@ class MpcEpisode:
         )
 
     def _remember(self, step: int, solution: Solution, slack: float) -> _LastCycle:
-        """What the next cycle begins with."""
+        """The part of a solution that the next cycle needs."""
         states = solution.states
         way = np.hypot(np.diff(states[:, EGO_X]), np.diff(states[:, EGO_Y]))
         expected = self._arclength + np.concatenate([[0.0], np.cumsum(way)])
@@ -274,7 +274,7 @@ class MpcEpisode:
             stations=self._road(guess.states, s, scene.profile),
             slots=near.fill(slots),
         )
-        # Slots change their owner between cycles: slacks are made anew from the guess.
+        # A slot may hold another road user than before: slacks are computed from the guess.
         slack = np.zeros((self._config.horizon, slots))
         if len(near.ids):
             slack[:, : len(near.ids)] = np.maximum(1.0 - near.distance(discs).T, 0.0)
@@ -300,7 +300,7 @@ class MpcEpisode:
         along, _ = self._path.project(points, s[:, None] + self._stations)
         beside = self._path.at(along)
         right, left = beside[..., PATH_RIGHT], beside[..., PATH_LEFT]
-        # A goal narrows the way of the ego's centre; the middle station's edges are of its sides.
+        # A goal bounds the ego's centre, the middle station's edges bound its sides.
         half, middle = half_width(self._config, self._vehicle), STATIONS // 2
         right[:, middle] = np.maximum(right[:, middle], profile.right - half)
         left[:, middle] = np.minimum(left[:, middle], profile.left + half)

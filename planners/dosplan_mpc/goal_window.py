@@ -151,7 +151,7 @@ def _nearest_offset(right: float, left: float, margin: float) -> float:
 
 
 def _on_turn_of(path_heading: float, window: Interval | None) -> Interval | None:
-    """A heading window, rad, on the same turn as the path's heading."""
+    """A heading window, rad, shifted by full turns to be near the path's heading."""
     if window is None:
         return None
     middle = path_heading - float(wrap_angle(path_heading - 0.5 * sum(window)))

@@ -1,4 +1,4 @@
-"""Limits of a plan: those of the vehicle, with the reserves that the planner keeps."""
+"""Limits of a plan: those of the vehicle, less the planner's margins."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """The optimal control problem: built once per process, solved once or twice a cycle.
 
-What a stage costs and where its limits are stands in ``stage``.
+The costs and limits of a stage are in ``stage``.
 
-A guess is the last solution, shifted along time, or a sample; slacks of sets are made anew from it.
+A guess is the last solution, shifted in time, or a sample; slacks of sets are computed from it.
 CasADi's interface to fatrop takes no multipliers (they were measured to change nothing), so a small
 initial barrier keeps the iterate near a good guess.
 """
@@ -40,7 +40,7 @@ from dosplan_mpc.stage import (
 
 @dataclass(frozen=True)
 class Guess:
-    """Where the solver begins.
+    """Initial guess of the solver.
 
     Attributes:
         states: (N + 1, 6).
@@ -83,17 +83,16 @@ class Solution:
 
     @property
     def usable(self) -> bool:
-        """Whether the iterate may be driven."""
+        """Whether the iterate is good enough to be driven."""
         return self.status in (SolveStatus.SOLVED, SolveStatus.ACCEPTED)
 
 
 class _Variables:
     """Where states, inputs and slacks are in the vector of decisions, and their bounds.
 
-    fatrop wants them stage by stage: state, input (none at the last stage), slacks (none at the
-    first). This is by hand because ``casadi.Opti`` makes its solver itself, which cannot be given
-    a compiled library, and ``casadi.tools.struct_symSX`` interleaves from the first stage on, which
-    has no slacks.
+    fatrop needs them stage by stage: state, input (none at the last stage), slacks (none at the
+    first). ``casadi.Opti`` is not used because it makes its solver itself and takes no compiled
+    library, nor is ``casadi.tools.struct_symSX``, which would give the first stage slacks.
 
     Attributes:
         count: Number of decisions.
@@ -179,7 +178,7 @@ class MpcProblem:
         point[variables.slacks] = np.column_stack([set_slack, guess.road_slack])
         parameter = np.concatenate([start, stages.pack().ravel()])
         if not (np.all(np.isfinite(parameter)) and np.all(np.isfinite(point))):
-            return self._failed(guess, set_slack, 0.0)  # fatrop would search for a step for ever.
+            return self._failed(guess, set_slack, 0.0)  # fatrop would never return.
         began = time.perf_counter()
         try:
             result = self._solver(
@@ -190,7 +189,7 @@ class MpcProblem:
                 lbg=0.0,
                 ubg=self._g_upper,
             )
-        except RuntimeError:  # CasADi's way of saying that an evaluation failed.
+        except RuntimeError:  # CasADi raises it where an evaluation failed.
             return self._failed(guess, set_slack, time.perf_counter() - began)
         seconds = time.perf_counter() - began
         values = np.asarray(result["x"]).ravel()

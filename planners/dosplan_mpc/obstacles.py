@@ -3,7 +3,7 @@
 The centre of a covering disc of radius r has to stay out of the Minkowski sum of the road user's
 rectangle, its occupancy ellipse and the disc. That sum S is bounded by a superellipse of order
 four along the road user's heading, ``(x/A)^4 + (y/B)^4 <= 1``: it is smooth and fits a rectangle
-with a disc within a few per cent, where an ellipse gives away 41 % of the width.
+with a disc within a few per cent, whereas an ellipse would be 41 % too wide.
 
 A and B are the sum's extents times the smallest scale at which the support function of the
 superellipse, ``(|A n_x|^(4/3) + |B n_y|^(4/3))^(3/4)``, is nowhere below that of S,
@@ -40,7 +40,7 @@ class ForbiddenSets:
         ids: (n,) ids of the road users.
         centre: (n, T, 2) c, m.
         matrix: (n, T, 2, 2) M, 1/m; its rows are along and across the road user.
-        penalty: (n, T) of a unit of normalised distance inside.
+        penalty: (n, T) penalty on a unit of normalised distance inside the set.
     """
 
     ids: IntArray
@@ -59,7 +59,7 @@ class ForbiddenSets:
         """
         n, lead = len(self.ids), points.shape[:-3]
         steps, discs = points.shape[-3:-1]
-        origin = points.reshape(-1, 2)[0]  # Map coordinates are large: digits would be lost.
+        origin = points.reshape(-1, 2)[0]  # Map coordinates are large: precision would be lost.
         shift = (self.matrix @ (self.centre - origin)[..., None])[..., 0]
         # z of all sets is one product per step: (T, D C, 2) @ (T, 2, 2 n).
         near = (points - origin).reshape(-1, steps, discs, 2).transpose(1, 2, 0, 3)
@@ -76,7 +76,7 @@ class ForbiddenSets:
         Args:
             points: (T, D, 2) centres of the discs along it, m.
             count: How many to keep at the most.
-            within: Normalised distance from which on a set does not matter.
+            within: Normalised distance from which on a set is left out.
 
         Returns:
             At most ``count`` sets, the closest first.
@@ -189,9 +189,9 @@ def release(
 ) -> ForbiddenSets:
     """Shrinks sets that hold the ego already, so that it need not jump out of them.
 
-    A set that contains the ego at the first step cannot be obeyed; left in full it would throw
-    the ego aside. It begins at the size at which the ego is just outside and regains its full
-    size over ``release_seconds``.
+    The ego cannot leave such a set at once, and the full set would cause a violent evasion. It
+    begins at the size at which the ego is just outside and grows back to its full size over
+    ``release_seconds``.
 
     Args:
         sets: Forbidden sets.
@@ -215,8 +215,8 @@ def release(
 def stretch_back(sets: ForbiddenSets, rows: BoolArray, length: float) -> ForbiddenSets:
     """Lengthens sets towards their rear; their front edges stay where they are.
 
-    A follower that overlaps the ego is left by driving on, not by letting it pass through: with
-    a long tail, the way out of its set is ahead.
+    The ego should leave the set of a follower that overlaps it by driving on, not by braking: with
+    a longer rear part, the shortest way out of the set is ahead.
 
     Args:
         sets: Forbidden sets.

@@ -31,13 +31,7 @@ class MpcPlanner(Planner):
         self._episode: MpcEpisode | None = None
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
-        """Begins an episode; nothing is left of the last one.
-
-        Args:
-            task: Start, goal and route.
-            road_map: The map.
-            vehicle: The ego.
-        """
+        """Begins an episode; nothing is left of the last one."""
         self._episode = MpcEpisode(self.config, task, road_map, vehicle)
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:

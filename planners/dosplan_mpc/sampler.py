@@ -31,8 +31,8 @@ from dosplan_mpc.stage import (
     STEERING_RATE,
 )
 
-_CLOSEST_TO_CENTRE = 0.2  # Smallest 1 - kappa d: beyond a bend's centre the path means nothing.
-_STEEPEST_RATED = 1.0  # Angle to the path, rad, beyond which the rating takes the angle for this.
+_CLOSEST_TO_CENTRE = 0.2  # Smallest 1 - kappa d: beyond a bend's centre, offsets are undefined.
+_STEEPEST_RATED = 1.0  # rad; the rating takes larger angles to the path as this.
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Candidates:
 
 @dataclass(frozen=True)
 class _References:
-    """What the candidates are asked to do.
+    """References that the candidates follow.
 
     Attributes:
         speed: (C, N + 1) m/s.
@@ -89,7 +89,7 @@ class _References:
     target: FloatArray
 
     def offset_at(self, arclength: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Offset that is asked for and its first two derivatives at (C,) arc lengths.
+        """Reference offset and its first two derivatives at (C,) arc lengths.
 
         It is a cubic Hermite polynomial.
         """
@@ -213,7 +213,7 @@ class Sampler:
             reached = states[:, step + 1]
             reached[:, :EGO_SIZE] = vehicle.step(state, inputs[:, step], dt)
             reached[:, PREVIOUS_ACCELERATION] = inputs[:, step, ACCELERATION]
-            # The model never reverses; rounding must not either.
+            # The model never reverses, but rounding could give a negative velocity.
             np.maximum(reached[:, EGO_VELOCITY], 0.0, out=reached[:, EGO_VELOCITY])
             arclength[:, step + 1], offset[:, step + 1] = self._path.project(
                 reached[:, :2], s + dt * state[:, EGO_VELOCITY], iterations=1

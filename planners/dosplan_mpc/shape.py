@@ -7,7 +7,7 @@ import numpy as np
 from dosplan.types import FloatArray
 from dosplan.vehicle import VehicleParameters
 
-STATIONS = 5  # Evenly from the rear to the front bumper; in a bend the sides bulge between.
+STATIONS = 5  # Equally spaced from the rear to the front bumper.
 
 
 def disc_offsets(vehicle: VehicleParameters, count: int) -> tuple[FloatArray, float]:

@@ -123,7 +123,7 @@ class SpeedPlanner:
 
         Args:
             ego: Where the ego is.
-            traffic: Speed that is wanted but for the goal, and whether a follower presses.
+            traffic: Speed that is wanted without the goal, and whether a follower is close.
 
         Returns:
             The reference.
@@ -164,7 +164,7 @@ class SpeedPlanner:
         Args:
             window: The goal.
             ego: Where the ego is.
-            cruise: Speed that is wanted but for the goal, m/s.
+            cruise: Speed that is wanted without the goal, m/s.
             limit: Speed limit ahead.
 
         Returns:

@@ -9,7 +9,7 @@ reference path, heading error, velocity error, steering other than the path's cu
 and on the way to a goal the error of the station and of the goal's heading;
 at stages 0 .. N-1: steering rate, acceleration, jerk. The reference of a stage is a frozen
 parabola ``(x, y, psi, kappa)`` of the path at the guess's arc length: cheaper than a
-curvilinear model and it distorts no set.
+curvilinear model, and sets keep their shape.
 
 Limits at stages 1 .. N, with slacks that are inputs of the stage:
 
@@ -105,7 +105,7 @@ class Slot(NamedTuple):
         centre: (..., 2) c, m.
         first_row: (..., 2) of M, 1/m.
         second_row: (..., 2) of M, 1/m.
-        penalty: (...) of a unit of normalised distance inside.
+        penalty: (...) penalty on a unit of normalised distance inside the set.
     """
 
     centre: Any
@@ -183,7 +183,7 @@ def _unpack(vector: Any, sizes: _Parts) -> _Parts:
 
 
 def unpack_stage(p: Any, slots: int) -> tuple[Reference, list[Station], list[Slot]]:
-    """Names the parts of one stage's parameters: the way back of ``StageParameters.pack``.
+    """Names the parts of one stage's parameters: the inverse of ``StageParameters.pack``.
 
     Args:
         p: CasADi vector of the parameters.
@@ -312,7 +312,7 @@ def _input_constraints(config: MpcConfig, vehicle: VehicleParameters, x: Any, u:
 
 
 def _axis(x: Any) -> _Axis:
-    """Gives the coordinates of the place that is so far ahead of the rear axle, m."""
+    """Makes a function from a distance ahead of the rear axle, m, to coordinates on the axis, m."""
     cos, sin = ca.cos(x[EGO_HEADING]), ca.sin(x[EGO_HEADING])
     return lambda ahead: (x[EGO_X] + ahead * cos, x[EGO_Y] + ahead * sin)
 

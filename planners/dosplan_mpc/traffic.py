@@ -25,7 +25,7 @@ class Traffic:
     """What drives in the ego's lane.
 
     Attributes:
-        cruise: Speed that is wanted but for a goal, m/s.
+        cruise: Speed that is wanted without a goal, m/s.
         pressed: Whether a follower is close behind.
         followers: (N,) whether a road user of the observation follows the ego in its lane.
     """
@@ -54,8 +54,8 @@ class Lane:
     def look_around(self, observation: Observation, ego: EgoOnPath) -> Traffic:
         """Finds leader and follower and the cruising speed.
 
-        Recorded followers do not react: the flow's speed, and at least the speed the ego began
-        with, keeps it out of their way. A leader may brake: the speed is bound by
+        Recorded followers do not react. To keep out of their way, the ego drives at the traffic's
+        speed, and at least at the speed it began with. A leader may brake: the speed is bound by
         ``v_leader + gain (gap - (standstill gap + headway v))``.
 
         Args:

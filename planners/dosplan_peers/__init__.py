@@ -1,4 +1,4 @@
-"""Other people's planners behind dosplan's interface: driven as their own run scripts drive them.
+"""Third-party planners behind dosplan's interface, used as in their own run scripts.
 
 They need the extra ``peers``; nothing of it is imported before one of them is named.
 """

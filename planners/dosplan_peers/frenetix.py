@@ -4,11 +4,12 @@ Trauth, Moller, Wuersching, Betz, "FRENETIX: A High-Performance and Modular Moti
 Framework for Autonomous Driving", IEEE Access 12, 2024.
 
 The core (``frenetix`` on PyPI) samples trajectories, weighs them and checks that they are feasible.
-What drives it is not on PyPI; it is written anew here after
+The rest of the planner is not on PyPI; it is written anew here after
 https://github.com/TUM-AVS/Frenetix-Motion-Planner, with the figures of its configuration: the
-sampled grid, the wish that the goal's place and time set, the costs, the check of each trajectory,
-cheapest first, against the swept rectangles of the road users and the road's edge, and what is
-driven where none passes: the one that stops soonest. Where none is even feasible, the run ends.
+sampled grid, the desired velocity for the goal's place and time, the costs, the check of each
+trajectory, cheapest first, against the swept rectangles of the road users and the road's edge, and
+the fallback where none passes: the one that stops soonest. Where none is even feasible, the run
+ends.
 
 The sets enter the check. To the cost of a collision's probability, the predicted positions have
 the covariance that Frenetix gives to exact predictions.
@@ -66,8 +67,8 @@ VELOCITIES: Final = 9  # Number of them, between what these shares of the greate
 BRAKING_SHARE: Final = 0.5  # reach within the horizon.
 DRIVING_SHARE: Final = 1.0 / 7.0
 VELOCITY_LIMITS: Final = (0.01, 36.0)  # m/s
-WISH_RANGE: Final = 5.0  # m/s; how far the wish may be from the present velocity.
-WISH_LIMIT: Final = 50.0  # m/s
+DESIRED_RANGE: Final = 5.0  # m/s; how far the desired velocity may be from the present one.
+DESIRED_LIMIT: Final = 50.0  # m/s; the largest desired velocity.
 COVARIANCE: Final = 0.1  # m2
 GRID: Final = {"method": "grid", "num_cells": 32}  # Narrows down what may collide.
 WEIGHTS: Final[Mapping[str, float]] = MappingProxyType(
@@ -180,7 +181,7 @@ class FrenetixPlanner(Peer):
         ):
             handler.add_feasability_function(check)
         handler.add_function(FillCoordinates(slow, ego[EGO_HEADING], self._frame, HORIZON))
-        wish = self._wish(observation)
+        desired = self._desired_velocity(observation)
         for name, kind, arguments in (
             ("lateral_jerk", costs.CalculateLateralJerkCost, ()),
             ("longitudinal_jerk", costs.CalculateLongitudinalJerkCost, ()),
@@ -188,7 +189,7 @@ class FrenetixPlanner(Peer):
             (
                 "velocity_offset",
                 costs.CalculateVelocityOffsetCost,
-                (wish, observation.dt, float(DURATIONS[0]), False, 2),
+                (desired, observation.dt, float(DURATIONS[0]), False, 2),
             ),
             (
                 "prediction",
@@ -199,7 +200,7 @@ class FrenetixPlanner(Peer):
             handler.add_cost_function(kind(name, WEIGHTS[name], *arguments))
         return handler
 
-    def _wish(self, observation: Observation) -> float:
+    def _desired_velocity(self, observation: Observation) -> float:
         """The velocity that reaches the middle of the goal in the middle of its time."""
         goal, velocity = self._goal, float(observation.ego[EGO_VELOCITY])
         centre = self._vehicle.centre(observation.ego)
@@ -273,10 +274,10 @@ def _stopping(sample: Any, offset: float) -> tuple[float, float, float]:
     return row[_END_VELOCITY], row[_DURATION], abs(row[_END_OFFSET] - offset)
 
 
-def _near(wish: float, velocity: float) -> float:
-    """The wish, no further from the present velocity than is asked for at once."""
-    low, high = max(velocity - WISH_RANGE, 0.0), min(velocity + WISH_RANGE, WISH_LIMIT)
-    return float(np.clip(wish, low, high))
+def _near(desired: float, velocity: float) -> float:
+    """The desired velocity, limited to a range around the present one."""
+    low, high = max(velocity - DESIRED_RANGE, 0.0), min(velocity + DESIRED_RANGE, DESIRED_LIMIT)
+    return float(np.clip(desired, low, high))
 
 
 def _goal_velocity(goal: GoalState, velocity: float) -> float:

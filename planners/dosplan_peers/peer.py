@@ -1,9 +1,9 @@
-"""What every peer has in common: it finds a trajectory, dosplan makes a plan of it.
+"""What all peers, the third-party planners, share: a trajectory is found and becomes a plan.
 
-Peers plan in a Frenet frame along the path, and as in their own scripts a cycle begins with the
-state, in that frame, that the last trajectory foresaw: to project the ego anew at every step would
-add the errors of their projection in bends. Where the ego is not where it was foreseen, it is
-projected, with the acceleration that was foreseen, since an ego state of dosplan holds none; the
+Peers plan in a Frenet frame along the path. As in their own scripts, a cycle begins with the state
+in that frame that the last trajectory has for this step: to project the ego at every step would add
+the errors of their projection in bends. Only where the ego is elsewhere is it projected. Its
+acceleration is then that of the last trajectory, since an ego state of dosplan holds none; the
 first is zero, as with the peers.
 """
 
@@ -29,12 +29,12 @@ from dosplan.types import (
 )
 from dosplan.vehicle import VehicleParameters
 
-FORESEEN: Final = 0.01  # m; how far from where it was foreseen the ego may be.
+ON_PLAN: Final = 0.01  # m; how far the ego may be from its last trajectory.
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What a peer found.
+    """A trajectory that a peer found.
 
     Attributes:
         steering: (T + 1,) steering angle at the present step and the T after it, rad.
@@ -55,16 +55,10 @@ class Trajectory:
 
 
 class Peer(Planner):
-    """A planner that is somebody else's."""
+    """A third-party planner."""
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
-        """Forgets the last trajectory and prepares the peer.
-
-        Args:
-            task: Start, goal and route.
-            road_map: The map.
-            vehicle: The ego's parameters.
-        """
+        """Forgets the last trajectory and prepares the peer."""
         self._vehicle = vehicle
         self._last: Trajectory | None = None
         self._last_step = task.start_step
@@ -87,7 +81,7 @@ class Peer(Planner):
         if self._last is not None:
             now = min(observation.step - self._last_step, len(self._last.acceleration) - 1)
             acceleration = float(self._last.acceleration[now])
-            if np.hypot(*(self._last.position[now] - observation.ego[:2])) < FORESEEN:
+            if np.hypot(*(self._last.position[now] - observation.ego[:2])) < ON_PLAN:
                 frenet = self._last.frenet[now]
         found = self.find(observation, occupancy, acceleration, frenet)
         self._last, self._last_step = found, observation.step
@@ -117,7 +111,7 @@ class Peer(Planner):
             observation: What is known now.
             occupancy: The sets to keep out of.
             acceleration: The ego's acceleration now, m/s2.
-            frenet: (6,) the ego's state in the Frenet frame as it was foreseen, see
+            frenet: (6,) the ego's state in the Frenet frame by the last trajectory, see
                 ``Trajectory``, or None where it has to be projected.
 
         Returns:

@@ -3,8 +3,8 @@
 Wuersching, Pek et al., https://github.com/CommonRoad/commonroad-reactive-planner, after Werling
 et al., "Optimal trajectory generation for dynamic street scenarios in a Frenet frame", ICRA 2010.
 
-It is driven as its ``run_planner.py`` drives it: the goal's mean velocity (or else the start's) is
-the wish, sampling gets denser until a trajectory is found that is feasible and free of
+It is used as in its ``run_planner.py``: the goal's mean velocity (or else the start's) is the
+desired one, sampling gets denser until a trajectory is found that is feasible and free of
 collisions, and where none is found the run ends. Three things differ: the map, the path and the
 obstacles are dosplan's; it plans at every cycle and not at every third one; and it samples in one
 process.
@@ -98,7 +98,7 @@ class CommonRoadReactivePlanner(Peer):
         with warnings.catch_warnings():  # It divides by the curvature of straight roads.
             warnings.simplefilter("ignore")
             self._frame = create_coordinate_system(reference_path(task.route))
-        self._wish = float(retrieve_desired_velocity_from_pp(problem))
+        self._desired_velocity = float(retrieve_desired_velocity_from_pp(problem))
 
     def find(
         self,
@@ -131,7 +131,9 @@ class CommonRoadReactivePlanner(Peer):
             collision_checker=checker,
             coordinate_system=self._frame,
         )
-        self._planner.set_desired_velocity(self._wish, current_speed=float(ego[EGO_VELOCITY]))
+        self._planner.set_desired_velocity(
+            self._desired_velocity, current_speed=float(ego[EGO_VELOCITY])
+        )
         found = self._planner.plan()
         if found is None:
             raise NoPlanError("no sampled trajectory is feasible and free of collisions")

@@ -8,18 +8,20 @@ Random World"; Lei et al., "Distribution-Free Predictive Inference for Regressio
 groups that are known beforehand (Mondrian), this holds in each group.
 
 * **Groups**: the speed now, in five bins, times vehicle or vulnerable. A group that is too small
-  borrows from the first that is not: all speeds of its kinds, its speed bin of all kinds,
-  everybody. It then has the lender's guarantee, not one of its own. The choice looks at counts
-  only, never at scores, and is made once for the horizon, so that no set jumps in size at the
-  step where data runs out.
+  uses the scores of a coarser group, the first of these that is large enough: all speeds of its
+  kinds, its speed bin of all kinds, all road users. It then has the guarantee of the coarser
+  group, not one of its own. The choice depends on counts only, never on scores, and is made once
+  for the horizon, so that no set jumps in size at the step where data runs out.
 * **Modes**: ``Mode.PER_STEP`` covers at each step, of the windows that are recorded there.
   ``Mode.SIMULTANEOUS`` covers at all steps of the horizon at once: its score is the largest
-  d_M / shape_t, and only windows that are recorded over the whole horizon count. The shape, the
-  d_M that ``SHAPE_LEVEL`` of the group stay below at t, keeps one step from ruling the profile; it
-  comes from recordings of its own (every fourth), without which the guarantee would be lost.
+  d_M / shape_t, and only windows that are recorded over the whole horizon count. The shape at t is
+  the quantile of d_M of the group at ``SHAPE_LEVEL``; without it, the step with the largest errors
+  would decide for all steps. It is estimated on recordings that are used for nothing else (every
+  fourth), without which the guarantee would be lost.
 * **Which exchangeability**: coverage is defined over windows, so every window counts alike. But
-  windows of one recording resemble each other; what is exchangeable is recordings. Coverage on
-  new recordings scatters more than n windows would have it: ``estimate_coverage`` says by how much.
+  windows of one recording resemble each other; only recordings are exchangeable. Coverage on new
+  recordings therefore varies more than with n independent windows; ``estimate_coverage`` gives
+  the standard error.
 """
 
 from __future__ import annotations
@@ -51,8 +53,9 @@ MIN_WINDOWS: Final = 200
 MIN_RECORDINGS: Final = 10.0
 """Effective recordings that a group needs of its own (Kish's (sum m)^2 / sum m^2, m windows each).
 
-Even if all windows of a recording were alike, ten would cover 90 % give or take 9.5 points. To
-borrow can be worse: one factor for everybody covered moving road users up to 20 points short.
+Even if all windows of a recording were equal, the coverage with ten recordings would be 90 % with a
+standard error of 9.5 points. A coarser group can be worse: with one factor for all road users, the
+coverage of those that move was up to 20 points too low.
 """
 
 MIN_SHAPE_WINDOWS: Final = 50
@@ -62,7 +65,7 @@ SHAPE_LEVEL: Final = 0.9
 SHAPE_EVERY: Final = 4
 
 SMALLEST: Final = 1e-3
-"""Smallest quantile and shape that is kept: sets neither vanish nor are divided by zero."""
+"""Smallest quantile and shape: sets keep an area, and nothing is divided by zero."""
 
 LEVELS: Final = np.r_[50:9000:50, 9000:9800:20, 9800:10001:5] / 10000
 """Levels whose quantiles are kept; a level between two of them takes the upper one."""
@@ -70,7 +73,7 @@ LEVELS: Final = np.r_[50:9000:50, 9000:9800:20, 9800:10001:5] / 10000
 FORMAT: Final = "dosplan-calibration-1"
 _ARRAYS: Final = ("source", "windows", "recordings", "shape", "quantiles")
 _ROUNDING: Final = 1e-9
-"""How far (n + 1) level and a level may be off by floating point alone."""
+"""Tolerance for floating-point errors of a level and of (n + 1) level."""
 
 
 class Mode(StrEnum):
@@ -105,14 +108,14 @@ class Group(NamedTuple):
             return f"{kind}, all speeds"
         return f"{kind}, {edges[self.speed_bin]} to {edges[self.speed_bin + 1]} m/s"
 
-    def lenders(self) -> tuple[Group, ...]:
-        """The group itself and the coarser ones it borrows from, in that order."""
-        return (self, Group(self.kind, None), Group(None, self.speed_bin), EVERYBODY)
+    def candidates(self) -> tuple[Group, ...]:
+        """The groups whose scores it may use, in that order: itself, then coarser ones."""
+        return (self, Group(self.kind, None), Group(None, self.speed_bin), ALL_USERS)
 
 
-EVERYBODY: Final = Group(None, None)
+ALL_USERS: Final = Group(None, None)
 GROUPS: Final = tuple(Group(k, b) for k in KindClass for b in range(len(SPEED_EDGES) + 1))
-LENDERS: Final = tuple(dict.fromkeys(lender for group in GROUPS for lender in group.lenders()))
+SOURCES: Final = tuple(dict.fromkeys(source for group in GROUPS for source in group.candidates()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +124,7 @@ class Calibration:
 
     Attributes:
         mode: What the level is a probability of.
-        source: (G,) whose scores each group uses, as an index of ``LENDERS``.
+        source: (G,) whose scores each group uses, as an index of ``SOURCES``.
         windows: (G,) windows behind each distribution, at the step that has fewest.
         recordings: (G,) effective recordings behind it, at the step that has fewest.
         shape: (G, T) shape of the profile over T steps; 1 per step.
@@ -163,13 +166,13 @@ class Calibration:
     @property
     def sources(self) -> dict[Group, Group]:
         """Whose scores each group uses: itself or a coarser one."""
-        return {g: LENDERS[i] for g, i in zip(GROUPS, self.source, strict=True)}
+        return {g: SOURCES[i] for g, i in zip(GROUPS, self.source, strict=True)}
 
     @classmethod
     def fit(
         cls, scores: FloatArray, speed: FloatArray, kinds: Kinds, recording: IntArray, mode: Mode
     ) -> Self:
-        """Keeps the distribution of scores on recordings that trained nothing.
+        """Stores the distribution of scores whose predictors were not trained on the recordings.
 
         Args:
             scores: (n, T) d_M of the truth in each window; NaN where it is not recorded.
@@ -182,31 +185,32 @@ class Calibration:
             The calibration.
 
         Raises:
-            ValueError: The arguments do not fit together, hold what is no d_M, or leave a step
-                without a window.
+            ValueError: The arguments do not fit together, hold a value that is not a distance,
+                or leave a step without a window.
         """
         scores = np.asarray(scores, dtype=np.float64)
         rows = np.shape(recording)
         if scores.ndim != 2 or not scores.shape[1] or rows != scores.shape[:1]:
             raise ShapeError(f"scores have shape {scores.shape}, recording {rows}; not (n, T), (n)")
         if np.any(scores < 0) or np.any(np.isinf(scores)):
-            raise ValueError("scores hold a negative or an infinite d_M; mark it NaN or mend it")
+            raise ValueError("scores hold a negative or an infinite d_M; set it to NaN")
         index = _group_index(speed, kinds, len(scores))
         _, recording = np.unique(recording, return_inverse=True)
         samples = {}
-        for lender in LENDERS:
-            members = np.isin(index, [i for i, g in enumerate(GROUPS) if lender in g.lenders()])
-            samples[lender] = _Sample.of(scores[members], recording[members], mode)
-        if not samples[EVERYBODY].windows:
+        for source in SOURCES:
+            members = np.isin(index, [i for i, g in enumerate(GROUPS) if source in g.candidates()])
+            samples[source] = _Sample.of(scores[members], recording[members], mode)
+        if not samples[ALL_USERS].windows:
             raise ValueError(
                 f"{mode}: a step of the horizon has no window to calibrate on; "
                 "give more recordings or a shorter horizon"
             )
         used = [
-            next((g for g in group.lenders() if samples[g].suffices), EVERYBODY) for group in GROUPS
+            next((g for g in group.candidates() if samples[g].suffices), ALL_USERS)
+            for group in GROUPS
         ]
-        source = np.array([LENDERS.index(g) for g in used])
-        return cls(mode, source, *map(np.array, zip(*(samples[g] for g in used), strict=True)))
+        sources = np.array([SOURCES.index(g) for g in used])
+        return cls(mode, sources, *map(np.array, zip(*(samples[g] for g in used), strict=True)))
 
     def factors(self, level: float, speed: FloatArray, kinds: Kinds) -> FloatArray:
         """Factors on the semi-axes.
@@ -217,14 +221,15 @@ class Calibration:
             kinds: N kinds.
 
         Returns:
-            (N, T) factors; they do not fall as the level rises. Never below the exact quantile of
-            the scores, and above it by the rounding (one in two thousand) or, for a level between
-            two of ``LEVELS``, by the way to the upper one.
+            (N, T) factors, which do not decrease with the level. They are never below the exact
+            quantile of the scores. They are above it by the rounding (one part in two thousand)
+            and, for a level between two of ``LEVELS``, because the upper one is taken.
 
         Raises:
-            ValueError: The level is not in (0, 1), or above ``highest_level``, whomever the scene
-                holds: a level works in every scene or in none. To borrow instead could lower the
-                factors of a hard group just where more is asked.
+            ValueError: The level is not in (0, 1), or above ``highest_level``. This does not
+                depend on the road users of the scene: a level works in every scene or in none.
+                With the scores of a coarser group instead, a higher level could give a group
+                that is hard to predict lower factors.
         """
         if not 0 < level < 1:
             raise ValueError(f"level is {level:g}, expected a share between 0 and 1")
@@ -240,7 +245,7 @@ class Calibration:
 
 
 class _Sample(NamedTuple):
-    """What one lender has, in the order of ``Calibration``'s fields."""
+    """The distribution of one group of ``SOURCES``, in the order of ``Calibration``'s fields."""
 
     windows: int
     recordings: float
@@ -253,7 +258,7 @@ class _Sample(NamedTuple):
 
     @classmethod
     def of(cls, scores: FloatArray, recording: IntArray, mode: Mode) -> Self:
-        """Reduces (n, T) scores; a shape that lacks windows is NaN and leaves none to count."""
+        """Reduces (n, T) scores; with too few windows for a shape, it is NaN and counts are 0."""
         shape = np.ones(scores.shape[1], dtype=np.float32)
         if mode is Mode.SIMULTANEOUS:
             shaping = recording % SHAPE_EVERY == 0
@@ -261,7 +266,7 @@ class _Sample(NamedTuple):
             typical = _quantiles(scores[shaping], np.array([SHAPE_LEVEL]))[:, 0]
             shape = np.where(enough, typical, np.float32(np.nan))
             scores, recording = scores[~shaping], recording[~shaping]
-            # NaN, where a window is not recorded over the whole horizon, outlives the maximum.
+            # The maximum is NaN for a window that is not recorded over the whole horizon.
             scores = np.max(scores / shape, axis=1, keepdims=True)
         counts = _sums_by_recording(np.isfinite(scores).astype(np.float64), recording)
         total, squares = counts.sum(axis=0), np.sum(counts**2, axis=0)
@@ -273,7 +278,7 @@ def _quantiles(scores: FloatArray, levels: FloatArray) -> npt.NDArray[np.float32
     """(T, L) score of rank ceil((n + 1) level) among the n that are recorded at each step.
 
     The largest where that rank is beyond n; NaN where nothing is recorded. Rounded up to twelve
-    binary digits: the zeros behind them are what the file's compression lives on.
+    binary digits: with zeros in the other digits, the file can be compressed.
     """
     n = np.sum(np.isfinite(scores), axis=0)[:, None]
     ordered = np.vstack([np.sort(scores, axis=0), np.full(scores.shape[1], np.nan)])  # NaN last.
@@ -304,13 +309,13 @@ def _sums_by_recording(values: FloatArray, recording: IntArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """Coverage on T steps, with what it is worth as an estimate.
+    """Coverage at T steps, with its standard error.
 
     Attributes:
         rate: (T,) share of the windows recorded at that step that are covered.
         standard_error: (T,) of ``rate``, between recordings; NaN with fewer than two.
         effective_windows: (T,) independent windows that would have that standard error; NaN where
-            it is zero or NaN and says nothing.
+            the standard error is zero or NaN.
         windows: (T,) windows.
         recordings: (T,) recordings they are from.
     """
@@ -385,7 +390,7 @@ def load_calibrations(path: Path) -> dict[Mode, Calibration]:
             }
         if not found:
             raise ValueError("it holds no calibration")
-    except Exception as error:  # What a damaged archive raises is not foreseeable.
+    except Exception as error:  # A damaged archive can raise almost anything.
         raise ValueError(
             f"{path}: not a file of calibrations ({one_line(error)}); "
             "write one with save_calibrations"

@@ -17,11 +17,7 @@ class TrainCommand:
     summary = "train the trajectory network or the occupancy sets"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.add_argument("what", choices=("net", "dos"), help="the network, or sets on it")
         parser.add_argument("--config", type=Path, required=True, metavar="FILE.yaml")
         parser.add_argument(
@@ -57,12 +53,6 @@ class TrainCommand:
     def run(self, options: argparse.Namespace) -> int:
         """Trains what is not trained yet.
 
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
-
         Raises:
             CommandError: The configuration, a cache or weights cannot be used.
         """
@@ -85,11 +75,7 @@ class ExportCommand:
     summary = "write trained weights as ONNX files, which run quicker"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.description = (
             "Without --network and --sets, the shipped network and the default sets are written."
         )
@@ -110,12 +96,6 @@ class ExportCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Exports, and says what was written.
-
-        Args:
-            options: The arguments.
-
-        Returns:
-            0.
 
         Raises:
             CommandError: Weights cannot be read, or onnx is missing.

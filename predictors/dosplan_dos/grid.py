@@ -18,8 +18,8 @@ def every_step(on_grid: FloatArray) -> FloatArray:
         on_grid: (B, G, C) values at 0.2 s, 0.4 s, ...
 
     Returns:
-        (B, GRID G, C) values at 0.1 s, 0.2 s, ...; in between, the mean of the two beside; before
-        the first, the first.
+        (B, GRID G, C) values at 0.1 s, 0.2 s, ...; in between, the mean of the two neighbours;
+        before the first, the first.
     """
     earlier = np.concatenate((on_grid[:, :1], on_grid[:, :-1]), axis=1)
     filled = np.repeat(on_grid, GRID, axis=1)

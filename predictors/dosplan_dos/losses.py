@@ -17,7 +17,7 @@ from torch.nn import functional
 
 from dosplan_dos.shapes import Ellipses, grid_seconds
 
-FARTHEST = 30.0  # A distance beyond this pulls no harder: one gross outlier must not rule a batch.
+FARTHEST = 30.0  # Distances are clipped here, so that one outlier does not dominate a batch.
 STEEPNESS = 6.0  # Of the smooth step that stands for "not covered", in log distance.
 
 
@@ -62,7 +62,7 @@ class CoverageLoss(SetLoss):
     The Lagrangian of: minimise E[area_t] subject to P(d_M <= 1) >= coverage. The indicator is
     smoothed in log distance; the multipliers, one a step, are raised where less than the wanted
     share of a batch is covered and lowered where more is (dual ascent). Areas count in units that
-    grow with time, so that the far steps do not drown the near ones.
+    grow with time, so that the late steps do not dominate the early ones.
     """
 
     log_multiplier: Tensor
@@ -124,7 +124,7 @@ class LossConfig:
     coverage: float = 0.9
 
     def __post_init__(self) -> None:
-        self.make()  # A wrong name is to be found before anything is trained.
+        self.make()  # An unknown name is refused before anything is trained.
 
     def make(self) -> SetLoss:
         """Builds the loss.

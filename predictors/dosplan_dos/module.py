@@ -80,11 +80,11 @@ class OccupancyModule(nn.Module):
         straight = constant_velocity(velocity)[:, steps]
         pace = legs(path)
         speed = (velocity[:, None, None] / VELOCITY_UNIT).expand_as(seconds)
-        told = torch.cat(
+        inputs = torch.cat(
             [path / DISTANCE_UNIT, (path - straight) / 10.0, pace / 4.0, seconds / 4.0, speed], -1
         )
         own = functional.relu(self.features(features))[:, None].expand(-1, len(steps), -1)
         first, _ = self.repeated(own)
-        second, _ = self.travelled(functional.relu(self.trajectory(told)))
+        second, _ = self.travelled(functional.relu(self.trajectory(inputs)))
         raw = self.decoder(torch.cat([first, second], -1))
         return ellipses(self.config.variant, raw, path, history)

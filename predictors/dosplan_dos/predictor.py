@@ -65,7 +65,7 @@ class DosSettings(PredictorSettings):
         network: Weights of the trajectory network that the module was trained on; the shipped
             ones by default.
         threads: Threads that the network and the module may use.
-        engine: Who runs them: ``torch``, or ``onnx``, which is quicker; its files are made with
+        engine: What runs them: ``torch``, or ``onnx``, which is quicker; its files are made with
             ``dosplan export``.
     """
 
@@ -109,8 +109,8 @@ class DosPredictor(Predictor):
     """Ellipses that a trained module puts around predicted centres.
 
     The module was trained on the errors of one trajectory predictor, that of ``base`` by default.
-    It takes the trajectories of any other as well; how much its sets then cover is for
-    ``dosplan evaluate`` to say. Parked and static road users keep sets of zero.
+    It takes the trajectories of any other as well; how much its sets then cover has to be
+    measured with ``dosplan evaluate``. Parked and static road users keep sets of zero.
     """
 
     name = "dos-v1"
@@ -150,32 +150,20 @@ class DosPredictor(Predictor):
         if coverage is not None:
             mode = Mode.SIMULTANEOUS if settings.simultaneous else Mode.PER_STEP
             self._calibration = shipped_calibration(sets, mode)
-            # A level that no scene can have is refused here, not in the first episode.
+            # A level that is too high is refused here, not in the first episode.
             self._calibration.factors(coverage, np.zeros(0), [])
 
     def weight_files(self) -> tuple[Path, ...]:
-        """The network, the module and what the base uses.
-
-        Returns:
-            Their files.
-        """
+        """The network, the module and what the base uses."""
         return tuple(dict.fromkeys((*self._files, *self.base.weight_files())))
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
-        """Begins an episode of the trajectory predictor and reads the map.
-
-        Args:
-            task: Start, goal and route of the ego.
-            road_map: The map.
-        """
+        """Begins an episode of the trajectory predictor and reads the map."""
         self.base.reset(task, road_map)
         self.encoder.prepare(road_map)
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         """Puts the sets around the base's centres.
-
-        Args:
-            observation: What is known now.
 
         Returns:
             The base's trajectories with ellipses.
@@ -213,7 +201,8 @@ class DosPredictor(Predictor):
     ) -> Float32Array:
         """(M, HORIZON, 2) the base's centres in each road user's frame, m.
 
-        Where the base says nothing, beyond its horizon or about a step, its last word stands.
+        Where the base has no prediction, at a step that is not valid or beyond its horizon, the
+        last predicted position before it is repeated.
         """
         if isinstance(self.base, NetPredictor) and self.base.encoder is self.encoder:
             return encoded.trajectory
@@ -254,7 +243,7 @@ def shared_module(weights: Path, engine: Engine, threads: int) -> Function:
 
     Args:
         weights: The weights.
-        engine: Who runs it.
+        engine: What runs it.
         threads: Threads it may use.
 
     Returns:
@@ -269,7 +258,7 @@ def shared_module(weights: Path, engine: Engine, threads: int) -> Function:
 
 @lru_cache(maxsize=8)
 def shipped_calibration(weights: Path, mode: Mode) -> Calibration:
-    """The calibration that lies beside a module's weights.
+    """The calibration in the folder of a module's weights.
 
     Args:
         weights: The weights.

@@ -22,8 +22,8 @@ from torch.nn import functional
 from dosplan_dos.grid import GRID
 
 LEAST_AXIS: Final = 0.05  # m; the shortest semi-axis.
-DRAWN_BACK: Final = 5  # Steps whose displacement gives the direction of the present motion.
-MOVED: Final = 0.3  # m; on a shorter way the heading stands for the direction of motion.
+MOTION_STEPS: Final = 5  # Steps whose displacement gives the direction of the present motion.
+LEAST_MOTION: Final = 0.3  # m; below this displacement the heading is taken for the direction.
 
 
 class Variant(StrEnum):
@@ -86,10 +86,10 @@ def legs(path: Tensor) -> Tensor:
 
 
 def ellipses(variant: Variant, raw: Tensor, trajectory: Tensor, history: Tensor) -> Ellipses:
-    """Makes ellipses of a representation out of what the decoder says.
+    """Makes ellipses of a representation from the decoder's output.
 
-    Semi-axes are softplus values that grow with time, so that the decoder needs only to say how
-    hard a road user is to foresee, not how far the future is.
+    Semi-axes are softplus values times a factor that grows with time, so that the decoder needs
+    only to express how hard a road user is to predict, not how far ahead the step is.
 
     Args:
         variant: The representation.
@@ -113,7 +113,7 @@ def ellipses(variant: Variant, raw: Tensor, trajectory: Tensor, history: Tensor)
         case Variant.V1:
             angle = _doubled(_present_motion(history))[:, None].expand_as(along)
         case Variant.V2:
-            angle = _doubled(legs(trajectory), GRID / DRAWN_BACK)
+            angle = _doubled(legs(trajectory), GRID / MOTION_STEPS)
         case Variant.FREE:
             # Next to the origin the direction is undefined; the offset starts it along the heading.
             angle = functional.normalize(raw[..., 2:4] + along, dim=-1, eps=1e-6)
@@ -127,14 +127,15 @@ def _ahead(like: Tensor) -> Tensor:
 
 
 def _present_motion(history: Tensor) -> Tensor:
-    """(B, 2) displacement over the last half second, m; zero where that was not seen."""
-    earlier = history[:, -1 - DRAWN_BACK]
+    """(B, 2) displacement over the last half second, m; zero where it is not known."""
+    earlier = history[:, -1 - MOTION_STEPS]
     return -earlier[:, :2] * earlier[:, 5:]
 
 
 def _doubled(motion: Tensor, share: float = 1.0) -> Tensor:
     """Cosine and sine of twice a motion's direction; along the heading where it is short."""
     length = motion.norm(dim=-1, keepdim=True)
-    unit = torch.where(length > MOVED * share, motion / length.clamp(min=1e-6), _ahead(motion))
+    moves = length > LEAST_MOTION * share
+    unit = torch.where(moves, motion / length.clamp(min=1e-6), _ahead(motion))
     x, y = unit[..., 0], unit[..., 1]
     return torch.stack([x * x - y * y, 2 * x * y], -1)

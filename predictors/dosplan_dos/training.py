@@ -16,7 +16,7 @@ from dosplan_net.network import constant_velocity
 from dosplan_net.training.batches import Selection
 from dosplan_net.training.cache import WindowCache
 from dosplan_net.training.optimise import FitSettings, fit
-from dosplan_net.training.train import NET, foretold, run_over
+from dosplan_net.training.train import NET, cross_fitted_trajectories, run_over
 from dosplan_net.weights import load_model, load_weights, save_weights
 from torch import Tensor, nn
 
@@ -38,10 +38,10 @@ class SetTraining:
         modules: The modules to train, by name.
         fit: How each is trained.
         batch: Windows in a batch.
-        standing_share: Share of the windows of those who stay where they are that is learned from.
+        standing_share: Share of the windows of standing road users that is trained on.
         calibrated: Names of the modules that are calibrated.
-        cross_fitted: Whether the errors on the training recordings are those of networks that have
-            not seen them; else the network's own, which are too small.
+        cross_fitted: Whether the errors on the training recordings are those of networks that were
+            not trained on them; else the network's own, which are too small.
     """
 
     modules: dict[str, SetConfig] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class SetTraining:
 
 @dataclass(frozen=True)
 class Windows:
-    """What a module learns from. W windows.
+    """What a module is trained on. W windows.
 
     Attributes:
         features: (W, hidden) features H.
@@ -92,7 +92,7 @@ def encode_windows(
     caches: Sequence[WindowCache],
     network: Path,
     base: str,
-    foretold: Sequence[npt.NDArray[np.float32]] | None = None,
+    cross_fitted: Sequence[npt.NDArray[np.float32]] | None = None,
 ) -> Windows:
     """Runs the frozen network over caches.
 
@@ -100,7 +100,7 @@ def encode_windows(
         caches: The windows.
         network: Weights of the trajectory network.
         base: Whose trajectories the sets are for: ``net`` or ``constant-velocity``.
-        foretold: For each cache, (W, HORIZON, 2) trajectories to take for the network's own.
+        cross_fitted: For each cache, (W, HORIZON, 2) trajectories to use instead of the network's.
 
     Returns:
         Windows of road users that can move and whose next step is recorded.
@@ -113,10 +113,10 @@ def encode_windows(
             velocity = batch.pose[:, 3]
             if base == CONSTANT_VELOCITY:
                 path = constant_velocity(velocity)
-            elif foretold is None:
+            elif cross_fitted is None:
                 path = own
             else:
-                path = torch.from_numpy(foretold[number][batch.windows.numpy()])
+                path = torch.from_numpy(cross_fitted[number][batch.windows.numpy()])
             values = (
                 features,
                 path,
@@ -149,10 +149,10 @@ def train_module(
         name: Its name.
         config: The module.
         training: How to train.
-        windows: What to learn from.
+        windows: What to train on.
         held_out: What to validate on.
         out: Folder of the training; ``NAME.safetensors`` is written there.
-        report: Called with a line now and then.
+        report: Called with each line of progress.
 
     Returns:
         The figures of the best validation.
@@ -163,8 +163,8 @@ def train_module(
         return done
     torch.manual_seed(training.fit.seed)
     learner = _Learner(OccupancyModule(config), config.loss)
-    lucky = torch.rand(len(windows.features)) < training.standing_share
-    pool = torch.where(windows.instructive | lucky)[0]
+    drawn = torch.rand(len(windows.features)) < training.standing_share
+    pool = torch.where(windows.instructive | drawn)[0]
 
     def loss_at(step: int) -> Tensor:
         rows = pool[torch.randint(0, len(pool), (training.batch,))]
@@ -228,7 +228,7 @@ def train_sets(
         validation: Cache of validation windows.
         network: Folder of the trajectory network's training.
         out: Folder of the training.
-        report: Called with a line now and then.
+        report: Called with each line of progress.
 
     Yields:
         Each module's name and the figures of its best validation.
@@ -236,22 +236,22 @@ def train_sets(
     opened = [WindowCache.open(path) for path in caches]
     held_out = [WindowCache.open(validation)]
     weights = network / f"{NET}.safetensors"
-    honest = foretold(caches, network) if training.cross_fitted else None
+    trajectories = cross_fitted_trajectories(caches, network) if training.cross_fitted else None
     for base in dict.fromkeys(training.modules[name].base for name in names):
-        windows = encode_windows(opened, weights, base, honest)
-        judged = encode_windows(held_out, weights, base)
+        windows = encode_windows(opened, weights, base, trajectories)
+        validating = encode_windows(held_out, weights, base)
         for name in (name for name in names if training.modules[name].base == base):
             config = training.modules[name]
-            yield name, train_module(name, config, training, windows, judged, out, report)
+            yield name, train_module(name, config, training, windows, validating, out, report)
             if name in training.calibrated:
                 module = load_module(out / f"{name}.safetensors")
                 save_calibrations(
-                    out / f"{name}.calibration.npz", calibrate(module, [windows, judged])
+                    out / f"{name}.calibration.npz", calibrate(module, [windows, validating])
                 )
 
 
 def calibrate(module: OccupancyModule, parts: Sequence[Windows]) -> list[Calibration]:
-    """Calibrates a module on recordings whose true futures its network has not learned from.
+    """Calibrates a module on recordings that the predicting network was not trained on.
 
     Those are the validation recordings and, by cross-fitting, the training recordings as well.
 

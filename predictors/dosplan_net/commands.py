@@ -21,11 +21,7 @@ class DataCommand:
     summary = "extract training windows from recordings"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Declares the arguments.
-
-        Args:
-            parser: The subcommand's parser.
-        """
+        """Declares the arguments."""
         parser.add_argument("action", choices=("build",), help="make a cache")
         parser.add_argument("sources", nargs="+", metavar="SOURCE", help=SOURCE_HELP)
         parser.add_argument("--out", type=Path, required=True, metavar="CACHE", help="the cache")
@@ -42,9 +38,6 @@ class DataCommand:
 
     def run(self, options: argparse.Namespace) -> int:
         """Builds the cache; an interrupted build goes on where it stopped.
-
-        Args:
-            options: The arguments.
 
         Returns:
             0; 1 where a recording was left out because it cannot be read.

@@ -1,4 +1,4 @@
-"""The trained network at work in an episode: the map is read once, then one pass a step."""
+"""The trained network in an episode: the map is encoded once, then one pass a step."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ SCENE: Final = Model(_load_scene, suffix=".onnx", option="--network")
 
 @dataclass(frozen=True)
 class Encoded:
-    """What the network makes of an observation; M of its N road users can move.
+    """The network's output for an observation; M of its N road users can move.
 
     Attributes:
         moving: (M,) rows of the observation's road users that can move.
-        features: (M, hidden) features H; (0, 0) where nobody can move.
+        features: (M, hidden) features H; (0, 0) where M is 0.
         trajectory: (M, HORIZON, 2) x, y in each road user's frame, m.
         history: (M, HISTORY, 6) see ``features.SceneFeatures``.
         velocity: (M,) m/s.
@@ -58,7 +58,7 @@ class Encoded:
 
 
 class SceneEncoder:
-    """Runs the network on observations and remembers the last one, which many may ask for."""
+    """Runs the network on observations; keeps the last result, as several predictors share it."""
 
     def __init__(self, read_map: Function, read_scene: Function) -> None:
         """Takes the network.
@@ -87,12 +87,12 @@ class SceneEncoder:
         if self._map is not None and self._map[0] is road_map:
             return self._map[1]
         pieces = cut_map(road_map)
-        # One piece more, which nobody is told of: not every engine can do with an empty map.
+        # One dummy piece is added, which no road user refers to: ONNX engines reject empty inputs.
         (self._code,) = self._read_map(
             shape=np.pad(pieces.shape, ((0, 1), (0, 0), (0, 0))),
             attributes=np.pad(pieces.attributes, ((0, 1), (0, 0))),
         )
-        # Single precision is good for centimetres within kilometres of an origin nearby.
+        # Single precision resolves centimetres only within kilometres of the origin.
         if len(pieces.pose):
             self._origin[:2] = pieces.pose[0, :2]
         self._piece_pose = np.pad(pieces.pose - self._origin, ((0, 1), (0, 0))).astype(np.float32)
@@ -106,7 +106,7 @@ class SceneEncoder:
             observation: What is known now.
 
         Returns:
-            Features and trajectories of all who can move.
+            Features and trajectories of all road users that can move.
         """
         if self._last is not None and self._last[0] is observation:
             return self._last[1]
@@ -147,7 +147,7 @@ def shared_encoder(weights: Path, engine: Engine, threads: int) -> SceneEncoder:
 
     Args:
         weights: The weights.
-        engine: Who runs the network.
+        engine: What runs the network.
         threads: Threads it may use.
 
     Returns:

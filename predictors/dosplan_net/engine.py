@@ -33,7 +33,7 @@ class EngineError(DosplanError, ValueError):
 
 
 class Engine(StrEnum):
-    """Who computes."""
+    """What runs a model."""
 
     TORCH = "torch"
     ONNX = "onnx"
@@ -44,7 +44,7 @@ class Engine(StrEnum):
 
 
 class Function(Protocol):
-    """A model, loaded."""
+    """A loaded model."""
 
     def __call__(self, **arrays: npt.NDArray[Any]) -> list[Float32Array]:
         """Runs it.
@@ -59,7 +59,7 @@ class Function(Protocol):
 
 @dataclass(frozen=True)
 class Model:
-    """A kind of model that lies in a weight file.
+    """A kind of model that a weight file holds.
 
     Attributes:
         load: Builds its graph from weights; imports torch.
@@ -78,7 +78,7 @@ def open_function(model: Model, weights: Path, engine: Engine, threads: int) -> 
     Args:
         model: The kind of model.
         weights: Its weights; the file that was exported from them lies beside them.
-        engine: Who is to compute.
+        engine: What runs it.
         threads: Threads it may use.
 
     Returns:
@@ -93,7 +93,7 @@ def open_function(model: Model, weights: Path, engine: Engine, threads: int) -> 
 
 
 def origin(weights: Path) -> dict[str, str]:
-    """What an exported file must be made from to be used: its metadata.
+    """The metadata that an exported file needs in order to be used.
 
     Args:
         weights: The weights.
@@ -141,14 +141,14 @@ def _open_onnx(model: Model, weights: Path, threads: int) -> Function:
         session = onnxruntime.InferenceSession(
             content, settings, providers=["CPUExecutionProvider"]
         )
-    except Exception as error:  # What the runtime raises is not foreseeable.
+    except Exception as error:  # The runtime can raise almost anything.
         raise EngineError(f"{path}: not an ONNX model ({one_line(error)}); {remedy}") from None
     found = session.get_modelmeta().custom_metadata_map
     if any(found.get(key) != value for key, value in wanted.items()):
         raise EngineError(
             f"{path}: was not made from these weights by this version of dosplan; {remedy}"
         )
-    # An input that a model does not look at is not in its file.
+    # An input that a model does not use is not in its file.
     names = [entry.name for entry in session.get_inputs()]
 
     def run(**arrays: npt.NDArray[Any]) -> list[Float32Array]:

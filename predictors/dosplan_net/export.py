@@ -38,8 +38,8 @@ def export(model: Model, weights: Path, folder: Path) -> Path:
     graph = model.load(weights)
     with TemporaryDirectory() as scratch, warnings.catch_warnings():
         traced = Path(scratch) / "traced.onnx"
-        # Tracing warns of every shape that decides a branch: ours decide on empty maps only, and
-        # the encoder never shows the network one. The newer exporter needs yet another package.
+        # Tracing warns where a branch depends on a shape. Here that is only so for empty maps, and
+        # the encoder never passes one to the network. The newer exporter needs one more package.
         warnings.simplefilter("ignore")
         torch.onnx.export(
             graph,

@@ -1,8 +1,8 @@
-"""What the network is told of a scene; the same code feeds training and driving.
+"""The network's inputs for a scene; the same code makes them in training and in an episode.
 
 Every road user is described in its own frame: origin at its centre now, x axis along its heading
 now. The road is cut into short centre-line pieces once per map; each piece is described in its
-own frame as well, so that what the network makes of it can be kept for a whole episode, and only
+own frame as well, so that its encoding can be kept for a whole episode, and only
 the pose of a piece as a road user sees it changes from step to step.
 """
 
@@ -29,7 +29,7 @@ from dosplan.types import (
 
 Float32Array = npt.NDArray[np.float32]
 
-HISTORY: Final = 31  # Steps that are looked at, the present one included: 3 s.
+HISTORY: Final = 31  # Steps of the past that are used, the present one included: 3 s.
 HORIZON: Final = 40  # Steps that are predicted: 4 s.
 NEIGHBOURS: Final = 16
 NEIGHBOUR_RANGE: Final = 80.0  # m

@@ -46,9 +46,9 @@ class NetworkConfig:
         hidden: Width of the features H that the decoder and the occupancy sets are made from.
         heads: Attention heads.
         decoder: Width of the decoder.
-        dropout: Share of the features that training switches off.
-        use_map: Whether the map is looked at.
-        use_neighbours: Whether the others are looked at.
+        dropout: Share of the features that is set to zero in training.
+        use_map: Whether the map is used.
+        use_neighbours: Whether the other road users are used.
         map_encoder: How the map is read: ``polylines``, or as a ``raster``; see ``raster``.
     """
 
@@ -77,10 +77,10 @@ class Scene:
         pose: (N, 4) x, y, m, heading, rad, velocity, m/s.
         history: (N, HISTORY, 6) see ``features.SceneFeatures``.
         static: (N, STATIC_SIZE).
-        targets: (T,) rows of those that are to be predicted.
+        targets: (T,) rows of the road users to predict.
         neighbours: (T, K) rows of other road users of the batch, -1 for none.
         pieces: (T, M) rows of ``piece_code`` and ``piece_pose``, -1 for none.
-        piece_code: (P, map) what ``MapEncoder`` made of each piece.
+        piece_code: (P, map) encoding of each piece by ``MapEncoder``.
         piece_pose: (P, 3) x, y, m, and heading, rad.
     """
 

@@ -23,7 +23,7 @@ from dosplan_net.engine import Engine
 from dosplan_net.features import HORIZON
 
 HEADING_SPAN = 3  # Steps on either side whose chord gives the heading at a step.
-HEADING_MEMORY = 0.5  # m; on a chord that is short against this, the present heading stands.
+HEADING_MEMORY = 0.5  # m; on a chord much shorter than this, the present heading is kept.
 
 
 def check_horizon(horizon: int) -> None:
@@ -61,7 +61,7 @@ class NetSettings(PredictorSettings):
         horizon: Number T of steps to predict, at most 40.
         weights: Weights of another training; the shipped ones by default.
         threads: Threads that the network may use.
-        engine: Who runs the network: ``torch``, or ``onnx``, which is quicker; its files are made
+        engine: What runs the network: ``torch``, or ``onnx``, which is quicker; its files are made
             with ``dosplan export``.
     """
 
@@ -99,27 +99,15 @@ class NetPredictor(Predictor):
         self.encoder = shared_encoder(self._weights, settings.engine, settings.threads)
 
     def weight_files(self) -> tuple[Path, ...]:
-        """The network.
-
-        Returns:
-            Its file.
-        """
+        """The network."""
         return (self._weights,)
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
-        """Reads the map.
-
-        Args:
-            task: Start, goal and route of the ego; not looked at.
-            road_map: The map.
-        """
+        """Reads the map."""
         self.encoder.prepare(road_map)
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         """Runs the network.
-
-        Args:
-            observation: What is known now.
 
         Returns:
             The trajectories, with points for sets.
@@ -134,7 +122,7 @@ def placed(observation: Observation, moving: IntArray, local: FloatArray) -> Occ
 
     Args:
         observation: What is known now; N road users.
-        moving: (M,) rows of those who can move; the others stay where they are.
+        moving: (M,) rows of those that can move; the others stay where they are.
         local: (M, T, 2) their trajectories, each in its road user's frame, m.
 
     Returns:
@@ -152,9 +140,9 @@ def placed(observation: Observation, moving: IntArray, local: FloatArray) -> Occ
 def _turned(local: FloatArray) -> FloatArray:
     """(M, T) heading along (M, T, 2) trajectories against the present one, rad.
 
-    The direction of the chord around each step, drawn towards the present heading where the
-    chord is short: a trajectory that hardly moves says nothing about where its owner looks. One
-    that begins backwards is that of a road user that reverses.
+    The direction of the chord around each step, blended with the present heading where the chord
+    is short: the direction of a trajectory that hardly moves is noise. Where a trajectory begins
+    backwards, the road user is taken to reverse.
     """
     with_start = np.concatenate((np.zeros_like(local[:, :1]), local), axis=1)
     steps = np.arange(1, with_start.shape[1])

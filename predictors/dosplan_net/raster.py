@@ -1,7 +1,7 @@
 """The network with another map encoder: an image of the road around each road user.
 
 The pieces that the polyline network attends to are drawn into a grid in the road user's frame,
-which 2-D convolutions read. It is here to be compared; what ships reads polylines.
+which 2-D convolutions read. It is here for comparison; the shipped network reads polylines.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class RasterNetwork(TrajectoryNetwork):
 
 
 class PieceKeeper(nn.Module):
-    """Stands where polylines are encoded: keeps the pieces as they are, to be drawn."""
+    """Takes the place of the polyline encoder: keeps the pieces as they are, to be drawn."""
 
     def forward(self, shape: Tensor, attributes: Tensor) -> Tensor:
         """(P, points, 3) pieces and (P, attributes) -> (P, points * 3 + attributes)."""
@@ -43,7 +43,7 @@ class PieceKeeper(nn.Module):
 
 
 class RasterReader(nn.Module):
-    """Stands where road users attend to pieces: draws the pieces and reads the image."""
+    """Takes the place of the attention to pieces: draws the pieces and reads the image."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -58,7 +58,7 @@ class RasterReader(nn.Module):
         self.out = nn.Linear(32 * (SIDE // 8) ** 2, width)
 
     def forward(self, query: Tensor, things: Tensor, rows: Tensor, relation: Tensor) -> Tensor:
-        """See ``network.Attention``; what is looked at does not depend on who looks."""
+        """See ``network.Attention``; the query is not used."""
         read = self.convolutions(draw(things, rows, relation)).flatten(1)
         return functional.relu(self.out(read))
 
@@ -79,7 +79,7 @@ def draw(things: Tensor, rows: Tensor, relation: Tensor) -> Tensor:
         return relation.new_zeros(len(rows), CHANNELS, SIDE, SIDE)
     drawn = things[rows.clamp(min=0)]
     points = drawn[..., :_POINT_VALUES].reshape(*rows.shape, PIECE_POINTS, PIECE_CHANNELS)
-    # Points are up to 2.2 m apart; with those midway a line has no gaps in the grid.
+    # Points are up to 2.2 m apart; with the midpoints added, a line has no gaps in the grid.
     points = torch.cat([points, 0.5 * (points[..., 1:, :] + points[..., :-1, :])], -2)
     ahead, aside, _, cosine, sine = relation[..., None].unbind(-2)
     x = ahead * DISTANCE_UNIT + points[..., 0] * cosine - points[..., 1] * sine

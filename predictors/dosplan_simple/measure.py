@@ -55,7 +55,7 @@ def measure(
             count += np.sum(np.isfinite(errors), axis=0)
     if not np.all(count):
         raise ValueError(
-            f"nobody is recorded {int(np.argmin(count > 0)) + 1} steps on; "
+            f"no road user is recorded {int(np.argmin(count > 0)) + 1} steps on; "
             "give more recordings or a shorter horizon"
         )
     return ErrorTable(
@@ -70,10 +70,10 @@ def measure(
 def _errors(
     observation: Observation, predictor: Predictor, truth: Predictor
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """(N, T) displacement errors, m; NaN where there is no truth or nobody that moves."""
-    foreseen, happened = predictor.predict(observation), truth.predict(observation)
-    counted = happened.valid & foreseen.valid & observation.moves[:, None]
-    distance = np.linalg.norm(foreseen.centre - happened.centre, axis=-1)
+    """(N, T) displacement errors, m; NaN where nothing is recorded or the kind does not move."""
+    predicted, recorded = predictor.predict(observation), truth.predict(observation)
+    counted = recorded.valid & predicted.valid & observation.moves[:, None]
+    distance = np.linalg.norm(predicted.centre - recorded.centre, axis=-1)
     return np.where(counted, distance, np.nan)
 
 

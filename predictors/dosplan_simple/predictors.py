@@ -1,6 +1,6 @@
 """Trajectories without training. Their sets are points: semi-axes of zero.
 
-Road users of the kinds parked and static stay where they are, whatever velocity they claim.
+Road users of the kinds parked and static stay where they are, whatever their recorded velocity.
 """
 
 from __future__ import annotations
@@ -40,15 +40,12 @@ def of_kind(observation: Observation, kinds: frozenset[RoadUserKind]) -> BoolArr
 
 
 class NonePredictor(Predictor):
-    """Predicts nobody: what a planner does on an empty road."""
+    """Predicts no road user: the planner drives as on an empty road."""
 
     name = "none-v1"
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         """Marks every road user as not predicted.
-
-        Args:
-            observation: What is known now.
 
         Returns:
             An occupancy that is valid nowhere.
@@ -69,9 +66,6 @@ class KinematicPredictor(Predictor):
     def turn_rate(self, observation: Observation) -> FloatArray:
         """How fast each road user turns.
 
-        Args:
-            observation: What is known now.
-
         Returns:
             (N,) rad/s.
         """
@@ -81,9 +75,6 @@ class KinematicPredictor(Predictor):
 
         An arc of length v t through an angle w t has the chord v t sin(w t / 2) / (w t / 2)
         in the direction of its middle, heading + w t / 2; no case for w = 0 is needed.
-
-        Args:
-            observation: What is known now.
 
         Returns:
             Points, valid everywhere.
@@ -102,15 +93,12 @@ class KinematicPredictor(Predictor):
 
 
 class ConstantVelocityPredictor(KinematicPredictor):
-    """Everybody keeps the present heading and velocity."""
+    """Every road user keeps its present heading and velocity."""
 
     name = "constant-velocity-v1"
 
     def turn_rate(self, observation: Observation) -> FloatArray:
-        """Nobody turns.
-
-        Args:
-            observation: What is known now.
+        """Zero for every road user.
 
         Returns:
             (N,) zeros.
@@ -124,7 +112,7 @@ class TurnRateSettings(PredictorSettings):
 
     Attributes:
         window: Number of steps whose headings give the turn rate; the default is half a second.
-        least_headings: Number of valid headings below which nobody is taken to turn.
+        least_headings: Number of valid headings that a turn rate needs; with fewer it is zero.
         tightest_radius: Least turning radius, m; a slow vehicle must not spin.
         lateral_acceleration: Largest lateral acceleration, m/s2; everyday traffic stays below.
     """
@@ -145,12 +133,12 @@ class TurnRateSettings(PredictorSettings):
 
 
 class ConstantTurnRatePredictor(KinematicPredictor):
-    """Everybody keeps the present velocity and the turn rate of the last half second.
+    """Every road user keeps its present velocity and the turn rate of the last half second.
 
-    The rate is the slope of a straight line fitted to the headings by least squares. It is cut
-    to what a road vehicle does, in turning radius and in lateral acceleration, so that noise spins
-    neither a slow vehicle nor a fast one. Pedestrians, who look about, are taken to walk straight
-    on.
+    The rate is the slope of a straight line fitted to the headings by least squares. It is limited
+    to what a road vehicle can do, in turning radius and in lateral acceleration, so that noise does
+    not make a slow or a fast vehicle spin. Pedestrians, whose headings are noisier, are taken to
+    walk straight on.
     """
 
     name = "constant-turn-rate-v1"
@@ -168,9 +156,6 @@ class ConstantTurnRatePredictor(KinematicPredictor):
 
     def turn_rate(self, observation: Observation) -> FloatArray:
         """Least-squares slope of the recent headings.
-
-        Args:
-            observation: What is known now.
 
         Returns:
             (N,) rad/s.
@@ -200,7 +185,7 @@ class ConstantTurnRatePredictor(KinematicPredictor):
 
 
 class GroundTruthPredictor(OraclePredictor):
-    """Knows the recording: an upper bound for every predictor.
+    """Predicts what is recorded: an upper bound for every predictor.
 
     A road user has no prediction where its recording has ended.
     """
@@ -227,9 +212,6 @@ class GroundTruthPredictor(OraclePredictor):
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         """Looks the future up.
-
-        Args:
-            observation: What is known now.
 
         Returns:
             The recorded centres and headings; NaN and not valid where there are none.

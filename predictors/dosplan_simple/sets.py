@@ -157,7 +157,7 @@ class ErrorCircleSettings(CircleSettings):
 
 
 class CirclePredictor(Predictor):
-    """Circles around the centres that another predictor foresees."""
+    """Circles around the centres that another predictor predicts."""
 
     settings = CircleSettings
 
@@ -172,16 +172,12 @@ class CirclePredictor(Predictor):
         self.base = settings.base.build(seed)
 
     def weight_files(self) -> tuple[Path, ...]:
-        """Those of the trajectory predictor.
-
-        Returns:
-            Its files.
-        """
+        """Those of the trajectory predictor."""
         return self.base.weight_files()
 
     @abstractmethod
     def radius(self, dt: float) -> FloatArray:
-        """The rule.
+        """Radius of the circles by step.
 
         Args:
             dt: Step, s.
@@ -191,19 +187,11 @@ class CirclePredictor(Predictor):
         """
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
-        """Begins an episode of the trajectory predictor.
-
-        Args:
-            task: Start, goal and route of the ego.
-            road_map: The map.
-        """
+        """Begins an episode of the trajectory predictor."""
         self.base.reset(task, road_map)
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         """Draws the circles.
-
-        Args:
-            observation: What is known now.
 
         Returns:
             The base's centres with circles of the rule's radius.
@@ -317,11 +305,7 @@ class ErrorCirclePredictor(CirclePredictor):
             )
 
     def weight_files(self) -> tuple[Path, ...]:
-        """The table, and the files of the trajectory predictor.
-
-        Returns:
-            The files.
-        """
+        """The table, and the files of the trajectory predictor."""
         return (self._table_file, *super().weight_files())
 
     def radius(self, dt: float) -> FloatArray:

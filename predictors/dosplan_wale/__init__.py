@@ -1,4 +1,4 @@
-"""Wale-Net, somebody else's predictor, behind dosplan's interface.
+"""Wale-Net, a third-party predictor, behind dosplan's interface.
 
 It needs the extra ``wale-net``; nothing of it is imported before it is named.
 """

@@ -29,8 +29,8 @@ from dosplan_wale.gaussians import ellipses
 from dosplan_wale.network import open_network, read_config, shipped_weights
 from dosplan_wale.scene import RoadImages, describe
 
-# Road users that go through the network at once. Of more, what the first layers make of the images,
-# 8 MB each, leaves the processor's cache, and all of them together take longer.
+# Road users that go through the network at once. With more, the first layers' output, 8 MB each,
+# exceeds the processor's cache, and the time per road user grows.
 _TOGETHER: Final = 2
 
 
@@ -82,39 +82,27 @@ class WaleNetPredictor(Predictor):
         self._network = open_network(config, shipped_weights())
 
     def weight_files(self) -> tuple[Path, ...]:
-        """The weights of Wale-Net's package.
-
-        Returns:
-            Their file.
-        """
+        """The weights of Wale-Net's package."""
         return (shipped_weights(),)
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
-        """Reads the map.
-
-        Args:
-            task: Start, goal and route of the ego; not looked at.
-            road_map: The map.
-        """
+        """Reads the map."""
         self._images = RoadImages(road_map, self._radius)
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         """Runs the network.
-
-        Args:
-            observation: What is known now.
 
         Returns:
             The means of the Gaussians, and ellipses that hold the chosen share of them.
         """
         moving = np.flatnonzero(observation.moves)
         heading = observation.states[moving, -1, USER_HEADING]
-        told = self._gaussians(observation, moving, heading)
+        gaussians = self._gaussians(observation, moving, heading)
         # Wale-Net looks along y, dosplan along x.
-        forward = np.stack([told[..., 1], -told[..., 0]], axis=-1)
+        forward = np.stack([gaussians[..., 1], -gaussians[..., 0]], axis=-1)
         trajectory = placed(observation, moving, forward)
         semi_axes, angle = np.array(trajectory.semi_axes), np.array(trajectory.angle)
-        semi_axes[moving], direction = ellipses(told[..., 2:], self._chosen.coverage)
+        semi_axes[moving], direction = ellipses(gaussians[..., 2:], self._chosen.coverage)
         angle[moving] = direction + (heading - 0.5 * np.pi)[:, None]
         return replace(trajectory, semi_axes=semi_axes, angle=angle)
 
@@ -126,12 +114,12 @@ class WaleNetPredictor(Predictor):
         past = np.full((len(moving), self._steps, 2), np.nan)
         past[:, self._steps - seen.shape[1] :] = seen
         torch.set_num_threads(self._chosen.threads)  # For the whole process.
-        told = [np.zeros((0, self.horizon, 5))]
+        outputs = [np.zeros((0, self.horizon, 5))]
         for start in range(0, len(moving), _TOGETHER):
             rows = np.arange(start, min(start + _TOGETHER, len(moving)))
             inputs = describe(past, heading, rows, self._images)
             history, neighbours = map(torch.from_numpy, (inputs.history, inputs.neighbours))
             with torch.inference_mode():
                 found = self._network(history, neighbours, torch.from_numpy(inputs.images))
-            told.append(found[: self.horizon].transpose(0, 1).double().numpy())
-        return np.concatenate(told)
+            outputs.append(found[: self.horizon].transpose(0, 1).double().numpy())
+        return np.concatenate(outputs)

@@ -1,4 +1,4 @@
-"""What Wale-Net is shown of each road user: its past, its neighbours' and an image of the road.
+"""Wale-Net's inputs for each road user: its past, its neighbours' and an image of the road.
 
 All three are made by Wale-Net's own functions, in a frame with the road user at the origin and its
 heading along y. What they read of a CommonRoad scenario is made of dosplan's map and observation.
@@ -24,8 +24,8 @@ except ImportError as error:
 
 Float32Array = npt.NDArray[np.float32]
 
-# m; how far apart the ends of two lanelets' bounds may be that are one line driven in opposite
-# directions. Lanelets that face each other share their bounds, in recorded maps up to such a gap.
+# m; lanelets in opposite directions share a bound where its ends are no further apart than this;
+# in recorded maps they do not meet exactly.
 _SHARED: Final = 0.5
 
 
@@ -79,8 +79,8 @@ class RoadImages:
         Returns:
             (256, 256) brightness, 0 to 255; black where there is no road.
         """
-        # A line all of whose points are outside the square is not drawn anyhow: to leave it out
-        # spares most of the time on a large map.
+        # A line without a point inside the square would not be drawn; to leave it out saves most
+        # of the time on a large map.
         distance = np.linalg.norm(self._points - position, axis=1)
         near = np.unique(self._owner[distance <= np.sqrt(2.0) * self._radius])
         # Wale-Net's function fails where no point is inside. One point alone makes no line.
@@ -111,7 +111,7 @@ def facing(bounds: list[FloatArray]) -> list[bool]:
 
 
 def _lines(lanelet: Lanelet, facing_left: bool, facing_right: bool) -> RoadLines:
-    """The lines of a lanelet; for Wale-Net any neighbour's id will do but None."""
+    """The lines of a lanelet; Wale-Net only asks whether a neighbour's id is None."""
     left, right = lanelet.left_neighbour, lanelet.right_neighbour
     return RoadLines(
         lanelet.left,

@@ -15,7 +15,7 @@ from dosplan_net.features import HISTORY
 from dosplan_net.network import Scene
 from dosplan_net.training.cache import WindowCache
 
-STARTING = 1.0  # m that one must move for a window of a standing road user to teach something.
+STARTING = 1.0  # m; a standing road user that moves further than this is about to drive.
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class RawBatch:
 
     @property
     def instructive(self) -> Tensor:
-        """(B,) windows of road users that move or are about to."""
+        """(B,) training mask: windows of road users that move or are about to."""
         drives = self.pose[:, 3].abs() >= MOVING
         far: Tensor = (self.future[..., :2].norm(dim=-1) * self.future_valid).amax(1) > STARTING
         return (drives | far) & self.moves & self.future_valid[:, 0]
@@ -147,13 +147,13 @@ def mirrored(batch: RawBatch) -> RawBatch:
     )
 
 
-def forgetful(batch: RawBatch, share: float, random: np.random.Generator) -> RawBatch:
-    """The batch with the beginning of some histories taken away.
+def cut_histories(batch: RawBatch, share: float, random: np.random.Generator) -> RawBatch:
+    """The batch with some histories cut short: their first steps are marked as not known.
 
     Args:
         batch: A batch.
         share: Share of the road users whose history is cut.
-        random: Where the choice comes from.
+        random: Generator that draws them.
 
     Returns:
         The batch with shorter histories.

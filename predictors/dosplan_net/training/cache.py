@@ -30,8 +30,8 @@ from dosplan.types import Scenario
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 
 FORMAT: Final = 1
-EMPTY: Final = ""  # What extraction answers where nobody's future is recorded.
-MIN_FUTURE: Final = 5  # Steps of recorded future without which a scene teaches nothing.
+EMPTY: Final = ""  # Result of the extraction where no future is recorded.
+MIN_FUTURE: Final = 5  # Steps of recorded future that a scene needs.
 
 
 class CacheError(DosplanError, ValueError):
@@ -148,7 +148,7 @@ class BuildReport:
         scenes: Scenes in it.
         windows: Windows in it.
         unreadable: A line for each file that could not be read: its name and why.
-        empty: Names of the recordings that end before anything can be learned from them.
+        empty: Names of the recordings that are too short for a window.
     """
 
     recordings: int
@@ -207,14 +207,14 @@ def build_cache(
 
 
 def _digest(path: Path, every: int) -> str:
-    """Names a shard after what decides on its content."""
+    """Name of a shard: a digest of what its content depends on."""
     key = sha256(f"{FORMAT} {every} {path.name} ".encode())
     key.update(path.read_bytes())
     return key.hexdigest()[:24]
 
 
 def _extract_to(job: tuple[ScenarioRef, Path, int]) -> str | None:
-    """Writes a recording's shard; returns why it cannot be read, or ``EMPTY``, where it did not."""
+    """Writes a recording's shard; returns None, why it cannot be read, or ``EMPTY``."""
     ref, shard, every = job
     if _readable(shard):
         return None

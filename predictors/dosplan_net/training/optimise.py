@@ -88,7 +88,7 @@ def fit(
         loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(model.parameters(), settings.clip)
         optimiser.step()
-        # Early averages must not remember the random start.
+        # Early averages must not depend on the random initial weights.
         decay = min(settings.average, (1 + step) / (10 + step))
         with torch.no_grad():
             for name, value in model.state_dict().items():

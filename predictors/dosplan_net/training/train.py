@@ -1,9 +1,9 @@
-"""Trains the trajectory network, and foretells its own training recordings by cross-fitting.
+"""Trains the trajectory network, and predicts its training recordings by cross-fitting.
 
-The network that ships learns from every recording, so that its errors on them are smaller than on
-new ones. The occupancy sets are to learn what errors to expect, so they need honest ones. The
-recordings are split into folds, by place and map; for each fold one more network learns from the
-others and then foretells this one.
+The shipped network is trained on every recording, so that its errors on them are smaller than on
+new ones. The occupancy sets are trained on the errors to expect on new recordings. Therefore the
+recordings are split into folds, by place and map; for each fold, one more network is trained on the
+other folds and then predicts this one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from dosplan_net.network import NetworkConfig, TrajectoryNetwork
 from dosplan_net.training.batches import (
     RawBatch,
     Selection,
-    forgetful,
+    cut_histories,
     in_order,
     mirrored,
     read_scenes,
@@ -45,8 +45,8 @@ class NetTraining:
         fit: How each network is trained.
         folds: Number of networks for cross-fitting.
         batch: Windows in a batch, about.
-        recorded_weight: How often a recorded scene is drawn for one of a simulation.
-        standing_share: Share of the windows of those who stay where they are that is learned from.
+        recorded_weight: Weight of a recorded scene in the draw; a simulated one has 1.
+        standing_share: Share of the windows of standing road users that is trained on.
         forgetting: Share of the histories that are cut short.
     """
 
@@ -82,13 +82,13 @@ def train_stage(
     """Trains one part; does nothing where it is done.
 
     Args:
-        stage: One of ``stages(config)``: ``net`` learns from all recordings, ``fold-k`` from all
+        stage: One of ``stages(config)``: ``net`` is trained on all recordings, ``fold-k`` on all
             but those of fold k.
         config: The training.
         caches: Caches of training windows.
         validation: Cache of validation windows.
         out: Folder of the training; ``STAGE.safetensors`` is written there.
-        report: Called with a line now and then.
+        report: Called with each line of progress.
 
     Returns:
         The figures of the best validation.
@@ -99,7 +99,7 @@ def train_stage(
         return done
     opened = [WindowCache.open(path) for path in caches]
     folds = assign_folds(opened, config.folds)
-    # The network itself leaves out the fold after the last, which nobody is in.
+    # For ``net``, the number of the fold that is left out is one that no recording has.
     own = config.folds if stage == NET else int(stage.removeprefix("fold-"))
     scenes = [
         np.flatnonzero(fold[cache.scene_recording] != own)
@@ -146,12 +146,14 @@ def assign_folds(caches: Sequence[WindowCache], folds: int) -> list[npt.NDArray[
     return [np.array([fold_of[group] for group in cache.groups]) for cache in caches]
 
 
-def foretold(caches: Sequence[Path], folder: Path) -> list[npt.NDArray[np.float32]]:
-    """What each recording's network of the cross-fitting, which has not seen it, foretells.
+def cross_fitted_trajectories(
+    caches: Sequence[Path], folder: Path
+) -> list[npt.NDArray[np.float32]]:
+    """Predicts each training recording with the network of its fold, which was not trained on it.
 
     Args:
         caches: The caches that the networks were trained on, in that order.
-        folder: Folder of the training; the answer is kept there.
+        folder: Folder of the training; the trajectories are kept there.
 
     Returns:
         For each cache, (W, HORIZON, 2) trajectories, m, in each road user's frame.
@@ -166,17 +168,17 @@ def foretold(caches: Sequence[Path], folder: Path) -> list[npt.NDArray[np.float3
         )
     opened = [WindowCache.open(path) for path in caches]
     return [
-        _foretold(cache, fold, len(fitted), folder, f"{number}-{path.name}")
+        _cross_fitted(cache, fold, len(fitted), folder, f"{number}-{path.name}")
         for number, (cache, fold, path) in enumerate(
             zip(opened, assign_folds(opened, len(fitted)), caches, strict=True)
         )
     ]
 
 
-def _foretold(
+def _cross_fitted(
     cache: WindowCache, fold: npt.NDArray[np.int64], folds: int, folder: Path, name: str
 ) -> npt.NDArray[np.float32]:
-    kept = folder / f"foretold-{name}.npy"
+    kept = folder / f"cross-fitted-{name}.npy"
     if kept.is_file():
         known: npt.NDArray[np.float32] = np.load(kept, mmap_mode="r", allow_pickle=False)
         return known
@@ -243,7 +245,7 @@ class _Source:
     ) -> None:
         self._caches = caches
         self._config = config
-        # Every scene of every cache in one list, so that one draw mixes them as they are weighed.
+        # Every scene of every cache in one list, so that one draw mixes them by their weights.
         self._cache_of = np.repeat(np.arange(len(caches)), [len(s) for s in scenes])
         self._scenes = np.concatenate(scenes)
         weight = [
@@ -279,7 +281,7 @@ class _Source:
         batch = read_scenes(self._caches[which], scenes)
         if random.random() < 0.5:
             batch = mirrored(batch)
-        batch = forgetful(batch, self._config.forgetting, random)
+        batch = cut_histories(batch, self._config.forgetting, random)
         targets = self._targets(batch, random)
         trajectory, _ = network(batch.scene(network.map_encoder, targets))
         error = torch.sqrt((trajectory - batch.future[targets, :, :2]).square().sum(-1) + 1e-6)
@@ -287,5 +289,5 @@ class _Source:
         return (error * counted).sum(), counted.sum()
 
     def _targets(self, batch: RawBatch, random: np.random.Generator) -> Tensor:
-        lucky = torch.from_numpy(random.random(len(batch.pose)) < self._config.standing_share)
-        return torch.where(batch.instructive | (lucky & batch.moves & batch.future_valid[:, 0]))[0]
+        drawn = torch.from_numpy(random.random(len(batch.pose)) < self._config.standing_share)
+        return torch.where(batch.instructive | (drawn & batch.moves & batch.future_valid[:, 0]))[0]

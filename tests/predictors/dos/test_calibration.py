@@ -177,7 +177,7 @@ def group_scores(sizes: dict[tuple[RoadUserKind, int], tuple[int, int]]) -> Cali
     )
 
 
-def lender(calibration: Calibration, kind: KindClass, speed_bin: int) -> Group:
+def source(calibration: Calibration, kind: KindClass, speed_bin: int) -> Group:
     return calibration.sources[Group(kind, speed_bin)]
 
 
@@ -194,8 +194,8 @@ VEHICLE, VULNERABLE = KindClass
 )
 def test_a_group_uses_its_own_scores_from_the_minimum_on(size: tuple[int, int], own: bool) -> None:
     calibration = group_scores({(CAR, 4): size, (CAR, 0): (600, 30)})
-    assert lender(calibration, VEHICLE, 4) == Group(VEHICLE, 4 if own else None)
-    assert lender(calibration, VEHICLE, 0) == Group(VEHICLE, 0)
+    assert source(calibration, VEHICLE, 4) == Group(VEHICLE, 4 if own else None)
+    assert source(calibration, VEHICLE, 0) == Group(VEHICLE, 0)
 
 
 def test_a_small_group_borrows_in_the_stated_order() -> None:
@@ -204,15 +204,15 @@ def test_a_small_group_borrows_in_the_stated_order() -> None:
     calibration = group_scores(
         {(CAR, 0): (600, 30), (CAR, 4): (20, 10), (PEDESTRIAN, 0): (20, 10)},
     )
-    assert lender(calibration, VEHICLE, 4) == Group(VEHICLE, None)
-    assert lender(calibration, VULNERABLE, 0) == Group(None, 0)
-    assert lender(calibration, VULNERABLE, 3) == Group(None, None)
+    assert source(calibration, VEHICLE, 4) == Group(VEHICLE, None)
+    assert source(calibration, VULNERABLE, 0) == Group(None, 0)
+    assert source(calibration, VULNERABLE, 3) == Group(None, None)
     # Enough pedestrians at all speeds come before the cars of their bin.
     calibration = group_scores({(CAR, 0): (600, 30), (PEDESTRIAN, 1): (300, 30)})
-    assert lender(calibration, VULNERABLE, 0) == Group(VULNERABLE, None)
+    assert source(calibration, VULNERABLE, 0) == Group(VULNERABLE, None)
 
 
-def test_borrowed_factors_are_the_lenders() -> None:
+def test_factors_of_a_small_group_are_those_of_the_coarser_group() -> None:
     calibration = group_scores({(CAR, 0): (600, 30), (CAR, 4): (20, 10)})
     # Scores are 0.1 for bin 0 and 1 for bin 4; of all 620, the upper 20 hold 0.98's quantile.
     assert car_factors(calibration, 0.98, SPEEDS[0]) == pytest.approx(0.1, rel=1e-3)
@@ -226,7 +226,7 @@ def test_one_crowded_recording_does_not_make_a_group_large() -> None:
     recording = np.maximum(np.arange(n) - 989, 0)
     calibration = fitted(np.ones((n, 1)), recording=recording)
     assert calibration.recordings[0] == pytest.approx(n**2 / (990**2 + 10))
-    assert lender(calibration, VEHICLE, 3) == Group(None, None)
+    assert source(calibration, VEHICLE, 3) == Group(None, None)
 
 
 def test_a_speed_on_a_bound_belongs_to_the_faster_bin_and_reversing_counts_alike() -> None:
@@ -318,8 +318,8 @@ def test_one_group_that_ends_early_borrows_for_the_whole_horizon() -> None:
     scores[:400] = 5.0
     scores[:390, 1] = np.nan
     calibration = fitted(scores, speed=np.repeat([20.0, 0.0], 400))
-    assert lender(calibration, VEHICLE, 4) == Group(VEHICLE, None)
-    assert lender(calibration, VEHICLE, 0) == Group(VEHICLE, 0)
+    assert source(calibration, VEHICLE, 4) == Group(VEHICLE, None)
+    assert source(calibration, VEHICLE, 0) == Group(VEHICLE, 0)
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,9 @@ import pytest
 import torch
 from dosplan_dos.grid import GRID, every_step
 from dosplan_dos.shapes import (
-    DRAWN_BACK,
     LEAST_AXIS,
-    MOVED,
+    LEAST_MOTION,
+    MOTION_STEPS,
     Ellipses,
     Variant,
     ellipses,
@@ -161,7 +161,7 @@ def test_v1_lies_along_the_present_motion(direction: float, raw: Tensor) -> None
 
 def test_v1_lies_along_the_heading_of_who_stands_or_is_new(raw: Tensor) -> None:
     path, _ = arc(20.0, 6.0)
-    slow = MOVED / (0.1 * DRAWN_BACK)  # m/s that lead just MOVED far.
+    slow = LEAST_MOTION / (0.1 * MOTION_STEPS)  # m/s that lead just LEAST_MOTION far.
     for history, angle in (
         (history_of(0.95 * slow, 0.7), 0.0),
         (history_of(1.05 * slow, 0.7), 0.7),

@@ -54,14 +54,14 @@ def test_windows_are_of_those_that_can_move(window_cache: Path, network: Path) -
     assert torch.equal(windows.trajectory, constant_velocity(windows.velocity))
 
 
-def test_what_was_foretold_takes_the_place_of_the_networks_own(
+def test_cross_fitted_trajectories_replace_the_networks_own(
     window_cache: Path, network: Path
 ) -> None:
     cache = WindowCache.open(window_cache)
-    foretold = np.arange(len(cache.pose) * 80, dtype=np.float32).reshape(-1, 40, 2)
+    trajectories = np.arange(len(cache.pose) * 80, dtype=np.float32).reshape(-1, 40, 2)
     kept = cache.moves & cache.future_valid[:, 0]
-    windows = encode_windows([cache], network, "net", [foretold])
-    np.testing.assert_array_equal(windows.trajectory, foretold[kept])
+    windows = encode_windows([cache], network, "net", [trajectories])
+    np.testing.assert_array_equal(windows.trajectory, trajectories[kept])
     own = encode_windows([cache], network, "net")
     assert torch.equal(windows.features, own.features)
     assert not torch.equal(windows.trajectory, own.trajectory)

@@ -13,7 +13,7 @@ from dosplan_net.network import TrajectoryNetwork, neighbour_relation, piece_rel
 from dosplan_net.training.batches import (
     RawBatch,
     Selection,
-    forgetful,
+    cut_histories,
     in_order,
     mirrored,
     read_scenes,
@@ -116,7 +116,7 @@ def test_a_mirror_changes_sides_and_nothing_else(cache: WindowCache) -> None:
 
 def test_forgetting_cuts_beginnings_only(cache: WindowCache) -> None:
     batch = read_scenes(cache, range(cache.scenes))
-    cut = forgetful(batch, 0.5, np.random.default_rng(0))
+    cut = cut_histories(batch, 0.5, np.random.default_rng(0))
     known, before = cut.history[..., 5], batch.history[..., 5]
     changed = (known != before).any(1)
     # Of those whose history is longer than the cut only some change: between 30 % and 60 %.
@@ -131,7 +131,7 @@ def test_forgetting_cuts_beginnings_only(cache: WindowCache) -> None:
     assert torch.equal(cut.history[~dropped], batch.history[~dropped])
     torch.testing.assert_close(cut.static[:, -1], known.mean(1))
     assert torch.equal(cut.static[:, :-1], batch.static[:, :-1])
-    same = forgetful(batch, 0.0, np.random.default_rng(0))
+    same = cut_histories(batch, 0.0, np.random.default_rng(0))
     assert torch.equal(same.history, batch.history)
 
 

@@ -19,8 +19,8 @@ from dosplan_net.training.train import (
     NET,
     NetTraining,
     assign_folds,
+    cross_fitted_trajectories,
     displacement,
-    foretold,
     stages,
     train_stage,
 )
@@ -102,7 +102,7 @@ def test_cross_fitting_does_not_see_its_own_fold(window_cache: Path, tmp_path: P
             assert same(weights, reference) == (other == own), (other, own)
 
 
-def test_each_recording_is_foretold_by_whom_has_not_seen_it(
+def test_each_recording_is_predicted_by_a_network_not_trained_on_it(
     window_cache: Path, tmp_path: Path
 ) -> None:
     cache = WindowCache.open(window_cache)
@@ -111,7 +111,7 @@ def test_each_recording_is_foretold_by_whom_has_not_seen_it(
     fitted = [
         load_network(save_network(tmp_path / f"fold-{k}.safetensors", seed=k)) for k in (0, 1)
     ]
-    (labels,) = foretold([window_cache], tmp_path)
+    (labels,) = cross_fitted_trajectories([window_cache], tmp_path)
     assert labels.shape == (len(cache.pose), HORIZON, 2)
     for scene in range(0, cache.scenes, 4):
         batch = read_scenes(cache, [scene])
@@ -127,13 +127,15 @@ def test_each_recording_is_foretold_by_whom_has_not_seen_it(
         assert np.abs(found - other).max() > 0.1
 
 
-def test_what_is_foretold_is_not_computed_again(window_cache: Path, tmp_path: Path) -> None:
+def test_cross_fitted_trajectories_are_not_computed_again(
+    window_cache: Path, tmp_path: Path
+) -> None:
     for k in (0, 1):
         save_network(tmp_path / f"fold-{k}.safetensors", seed=k)
-    (labels,) = foretold([window_cache], tmp_path)
+    (labels,) = cross_fitted_trajectories([window_cache], tmp_path)
     for k in (0, 1):
         save_network(tmp_path / f"fold-{k}.safetensors", seed=k + 2)
-    np.testing.assert_array_equal(foretold([window_cache], tmp_path)[0], labels)
+    np.testing.assert_array_equal(cross_fitted_trajectories([window_cache], tmp_path)[0], labels)
 
 
 def test_two_caches_of_one_name_keep_answers_of_their_own(
@@ -144,13 +146,13 @@ def test_two_caches_of_one_name_keep_answers_of_their_own(
         shutil.copytree(window_cache, folder, ignore=shutil.ignore_patterns("shards"))
     for k in (0, 1):
         save_network(tmp_path / f"fold-{k}.safetensors", seed=k)
-    foretold(caches, tmp_path)
-    assert len(list(tmp_path.glob("foretold-*.npy"))) == 2
+    cross_fitted_trajectories(caches, tmp_path)
+    assert len(list(tmp_path.glob("cross-fitted-*.npy"))) == 2
 
 
 def test_without_cross_fitting_it_says_what_is_missing(window_cache: Path, tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match=r"fold-0\.safetensors"):
-        foretold([window_cache], tmp_path)
+        cross_fitted_trajectories([window_cache], tmp_path)
 
 
 def grouped(cache: WindowCache, windows: dict[str, int]) -> WindowCache:

@@ -276,7 +276,7 @@ def test_measure_finds_a_known_error(tmp_path: Path) -> None:
 
 def test_measure_refuses_a_horizon_beyond_every_recording() -> None:
     scenario = straight_scenario(steady_tracks([[0.0, 0.0, 0.0, 1.0]], steps=3))
-    with pytest.raises(ValueError, match="nobody is recorded 3 steps on"):
+    with pytest.raises(ValueError, match="no road user is recorded 3 steps on"):
         measure([scenario], SHORT)
 
 

@@ -58,6 +58,28 @@ def _may_be_json(path: Path) -> bool:
         return True
 
 
+def is_source(text: str) -> bool:
+    """Whether a text names a file, a folder, a URL or the like, there or not; else it is an id.
+
+    Args:
+        text: What somebody wrote where a source or the id of a scenario may stand.
+
+    Returns:
+        Whether it does.
+    """
+    from dosplan.scenario.commonroad.document import SUFFIXES
+    from dosplan.scenario.sources.archives import ENDINGS
+    from dosplan.scenario.sources.fetch import LIST, SUITE
+
+    if text == SUITE or text.startswith(LIST) or "://" in text or Path(text).exists():
+        return True
+    if ":" in text:  # An id that names its file, as of several files with one id.
+        return False
+    return any(mark in text for mark in {os.sep, *"/*?["}) or text.lower().endswith(
+        (*SUFFIXES, ".pb", *ENDINGS)
+    )
+
+
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Declares ``--workers``.
 

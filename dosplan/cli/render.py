@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from dosplan.cli.arguments import PLUGIN_HELP, add_seed
+from dosplan.cli.arguments import PLUGIN_HELP, add_seed, is_source
 from dosplan.cli.command import FAILED, OK, Command, CommandError
 
 if TYPE_CHECKING:
@@ -156,13 +155,13 @@ def _scenario(options: argparse.Namespace) -> ScenarioRef:
     """The scenario of a file, or of an id in a source."""
     from dosplan.results.drive import find_scenario
     from dosplan.scenario import find_scenarios
-    from dosplan.scenario.sources.catalogue import SUITE
+    from dosplan.scenario.sources.fetch import SUITE
 
     what = options.what
     if (Path(what) / "run.json").is_file():
         raise CommandError(f"{what} is a run: name one of its scenarios, as in {what}:ID")
     if not ("://" in what or Path(what).exists()):
-        if _is_path(what):
+        if is_source(what):
             raise CommandError(
                 f"{what} does not exist; name a scenario file, or the id of one in --source"
             )
@@ -173,11 +172,6 @@ def _scenario(options: argparse.Namespace) -> ScenarioRef:
             f"{what} holds {len(refs)} scenarios: name one, as in {refs[0].id} --source {what}"
         )
     return refs[0]
-
-
-def _is_path(text: str) -> bool:
-    """Whether a text is meant as a file, there or not: ids have neither folder nor ending."""
-    return os.sep in text or text.endswith((".xml", ".gz"))
 
 
 RENDER: Final[Command] = RenderCommand()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final
@@ -16,15 +17,20 @@ from dosplan.cli.arguments import (
     add_seed,
     add_workers,
     console,
+    is_source,
     show,
 )
-from dosplan.cli.command import FAILED, INTERRUPTED, OK
+from dosplan.cli.command import FAILED, INTERRUPTED, OK, CommandError
 
 _EXAMPLES: Final = """\
 examples:
   dosplan run                                    the suite, both arms, the built-in plug-ins
   dosplan run --planner idm --limit 10           another planner, the first ten scenarios
   dosplan run my/scenarios --planner mine.py:MyPlanner --with-dos
+  dosplan run ZAM_Weaving-2_1_T-1 ZAM_Zebra-7_1_T-1    by their ids; of another --source, too
+  dosplan run my/scenarios more.zip              several sources
+  dosplan run --only roundabout --only highway   by a part of the id, or a tag or kind of road
+  dosplan run --sample 20 --out runs/s           20 by lot; with 50 then, 30 are driven besides
   dosplan run scenarios.zip --solutions          a CommonRoad solution for each drive, too
   dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
   dosplan run --predictor dos --set predictor.base=constant-velocity
@@ -34,6 +40,7 @@ examples:
 """
 
 Setting = tuple[str, str, Any]
+Source = str | tuple[str, ...]
 
 
 class RunCommand:
@@ -61,6 +68,8 @@ class RunCommand:
             RunError: The run may not start or cannot go on.
             RegistryError: A plug-in cannot be found or takes no such option.
             ScenarioError: There are no scenarios.
+            SelectionError: Nothing is left of the choice among them.
+            CommandError: ``--source`` is given, and something that is no id.
             FileError: A file cannot be written.
         """
         from dosplan.report.progress import show_run
@@ -73,9 +82,13 @@ class RunCommand:
         from dosplan.running.run import RunConfig, run
         from dosplan.types import Arm
 
+        source, ids = _what(options.names, options.source)
         config = RunConfig(
             out=options.out or default_folder(),
-            source=options.source,
+            source=source,
+            ids=ids,
+            only=tuple(options.only),
+            sample=options.sample,
             planner=options.planner,
             predictor=options.predictor,
             traffic=options.traffic,
@@ -129,11 +142,28 @@ def _report_line(folder: Path) -> str:
 
 def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "source",
-        nargs="?",
-        default="suite",
-        metavar="SOURCE",
-        help=f"{SOURCE_HELP} (default: %(default)s)",
+        "names",
+        nargs="*",
+        metavar="SOURCE|ID",
+        help=f"{SOURCE_HELP}; or ids of scenarios (default: suite)",
+    )
+    parser.add_argument(
+        "--source", metavar="SOURCE", help="where the ids are looked up (default: suite)"
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="TEXT|KIND",
+        help="drive those with TEXT in their id, or with such a tag or kind of road, as roundabout "
+        "or highway; given again, those to which one of them applies",
+    )
+    parser.add_argument(
+        "--sample",
+        type=int,
+        metavar="N",
+        help="drive N of them, by lot: --seed decides, a larger N adds to a smaller one, and a "
+        "source may grow",
     )
     arms = parser.add_mutually_exclusive_group()
     arms.add_argument(
@@ -171,7 +201,7 @@ def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
 
 def _add_how_to_drive(parser: argparse.ArgumentParser) -> None:
     add_workers(parser)
-    parser.add_argument("--limit", type=int, metavar="N", help="drive the first N scenarios only")
+    parser.add_argument("--limit", type=int, metavar="N", help="drive the first N of them only")
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="run folder (default: runs/<date and time>)"
     )
@@ -222,6 +252,21 @@ def _add_how_to_drive(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="allow a predictor that is shown the future, and mark the results",
     )
+
+
+def _what(names: Sequence[str], source: str | None) -> tuple[Source, tuple[str, ...]]:
+    """The source, or several, and the ids that are wanted of it; none wants all."""
+    from dosplan.scenario.sources.fetch import SUITE
+
+    sources = [name for name in names if is_source(name)]
+    if not sources:
+        return source or SUITE, tuple(names)
+    if source is not None:
+        raise CommandError(
+            f"--source {source} is where ids are looked up, and {sources[0]} is no id: name the "
+            "sources alone, or the ids alone and their --source"
+        )
+    return names[0] if len(names) == 1 else tuple(names), ()
 
 
 def _setting(text: str) -> Setting:

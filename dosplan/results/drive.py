@@ -15,6 +15,7 @@ from dosplan.results.manifest import read_manifest
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_rows
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
+from dosplan.scenario.sources.catalogue import Source, source_text
 from dosplan.scoring.collision import Contact, first_contacts
 from dosplan.scoring.score import score
 from dosplan.system.errors import did_you_mean
@@ -216,7 +217,7 @@ def find_drives(
     ]
 
 
-def find_scenario(scenario: str, source: str) -> ScenarioRef:
+def find_scenario(scenario: str, source: Source) -> ScenarioRef:
     """Finds a scenario by its id.
 
     Args:
@@ -233,7 +234,7 @@ def find_scenario(scenario: str, source: str) -> ScenarioRef:
     refs = {ref.id: ref for ref in find_scenarios(source)}
     if scenario not in refs:
         raise FileError(
-            f"{source} holds no scenario {scenario}{did_you_mean(scenario, refs, 3)}; "
+            f"{source_text(source)} holds no scenario {scenario}{did_you_mean(scenario, refs, 3)}; "
             "name its place with --source"
         )
     return refs[scenario]

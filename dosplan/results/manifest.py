@@ -22,7 +22,8 @@ class RunSettings:
     """How a run was asked for; two runs of the same settings have the same rows but for timings.
 
     Attributes:
-        source: Where the scenarios are, as ``dosplan.scenario.find_scenarios`` takes it.
+        source: Where the scenarios are, as ``dosplan.scenario.find_scenarios`` takes it; several
+            are a list.
         planner: Planner, as ``dosplan.plugins.registry`` finds it.
         predictor: Predictor, likewise.
         traffic: Who else is on the road, likewise.
@@ -32,7 +33,11 @@ class RunSettings:
         traffic_options: Likewise of the traffic's.
         arms: Arms to drive.
         workers: Number of worker processes on this machine.
-        limit: Number of scenarios to drive, the first ones; None drives all.
+        ids: Ids of the source's scenarios that are driven; none drives all.
+        only: Of those, the ones with one of these texts in their id or among their tags
+            (``dosplan.scenario.sources.selection``); none drives all.
+        sample: Of those, so many by lot, which the seed decides; None drives all.
+        limit: Of those, the first ones; None drives all.
         seed: Seed of everything random.
         replan_every: Steps driven from each plan.
         episode_timeout: Seconds after which an episode counts as hung; the making of the
@@ -44,7 +49,7 @@ class RunSettings:
         solutions: Whether the run folder gets CommonRoad solutions (``dosplan.results.solutions``).
     """
 
-    source: str = "suite"
+    source: str | tuple[str, ...] = "suite"
     planner: str = "mpc"
     predictor: str = "dos"
     traffic: str = "replay"
@@ -53,6 +58,9 @@ class RunSettings:
     traffic_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     arms: tuple[Arm, ...] = tuple(Arm)
     workers: int = 1
+    ids: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    sample: int | None = None
     limit: int | None = None
     seed: int = 0
     replan_every: int = 1

@@ -24,6 +24,7 @@ from dosplan.results.recording import Recording
 from dosplan.results.rows import read_run, write_rows
 from dosplan.results.summary import summarise_run, write_summary
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
+from dosplan.scenario.sources.catalogue import Source
 from dosplan.scoring.score import score_driven
 from dosplan.system.errors import one_line
 from dosplan.system.files import FileError, write_text
@@ -113,7 +114,7 @@ def rescore(path: Path, source: str | None = None) -> Rescored:
     return Rescored(folder, manifest, tuple(now), tuple(changes), kept)
 
 
-def _found(source: str) -> dict[str, ScenarioRef]:
+def _found(source: Source) -> dict[str, ScenarioRef]:
     try:
         return {ref.id: ref for ref in find_scenarios(source)}
     except ScenarioError as error:

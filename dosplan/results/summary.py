@@ -17,6 +17,7 @@ from dosplan.results.comparison import Comparison, compare_rows
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest
 from dosplan.results.recording import load_cycle_ms
+from dosplan.scenario.sources.catalogue import source_text
 from dosplan.scoring import metrics
 from dosplan.system.files import FileError, read_json, write_json
 from dosplan.system.typed import plain, typed
@@ -141,7 +142,7 @@ def _summary(
         with_dos=figures.get(Arm.WITH_DOS),
         without_dos=figures.get(Arm.WITHOUT_DOS),
         run=RunTitle(
-            source=config.source,
+            source=source_text(config.source),
             planner=manifest.planner,
             predictor=manifest.predictor,
             traffic=manifest.traffic,

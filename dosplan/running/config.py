@@ -13,9 +13,11 @@ from typing import Any, Final
 from dosplan.results.manifest import RunSettings
 from dosplan.system.errors import DosplanError
 
-FREE: Final = ("workers", "source", "cluster", "cache", "solutions")
-"""Settings in which two invocations of one run may differ: they do not reach a row. (The source
-is known by its scenarios: the same files by another path are the same source.)"""
+SELECTION: Final = ("source", "ids", "only", "sample", "limit")
+"""Settings that say which scenarios are driven: the run is known by the scenarios themselves."""
+FREE: Final = (*SELECTION, "workers", "cluster", "cache", "solutions")
+"""Settings in which two invocations of one run may differ: they do not reach a row. (The same
+files by another path are the same source.)"""
 
 
 class RunError(DosplanError, ValueError):
@@ -44,7 +46,7 @@ class RunConfig(RunSettings):
             raise RunError(
                 f"episode_timeout is {self.episode_timeout}; it must be more than 0 and finite"
             )
-        for name in ("workers", "limit", "replan_every", "memory_limit"):
+        for name in ("workers", "limit", "sample", "replan_every", "memory_limit"):
             value = getattr(self, name)
             if value is not None and value <= 0:
                 raise RunError(f"{name} is {value}; it must be more than 0")

@@ -3,7 +3,8 @@
 An episode is one scenario in one arm. Where it is driven is an ``Executor``'s business; the run
 loop hands out the episodes that have no row yet and alone writes what comes back: first the files
 of an episode, then its row, so that a row always has its files. A run that was killed at any
-moment is resumed by the same command. The rows end up in the order of the manifest.
+moment is resumed by the same command. One that names more scenarios adds them to the run and drives
+what is missing. The rows end up in the order of the manifest.
 """
 
 from __future__ import annotations
@@ -31,11 +32,13 @@ from dosplan.results.markdown import summary_markdown
 from dosplan.results.rows import append_row, read_rows, write_rows
 from dosplan.results.solutions import write_solutions
 from dosplan.results.summary import summarise_run, write_summary
-from dosplan.running.config import FREE, RunConfig, RunError
+from dosplan.running.config import FREE, SELECTION, RunConfig, RunError
 from dosplan.running.executor import Executor, LocalExecutor, Results, Task
 from dosplan.running.job import EpisodeResult, make_plugins
 from dosplan.running.progress import Observer
 from dosplan.scenario import ScenarioRef, find_scenarios
+from dosplan.scenario.sources.catalogue import find_ids
+from dosplan.scenario.sources.selection import matching, sampled
 from dosplan.system.files import remove_half_written, write_bytes, write_text
 from dosplan.system.locks import exclusive
 from dosplan.system.provenance import content_digest, describe_environment
@@ -43,6 +46,9 @@ from dosplan.types import Arm, Score
 
 __all__ = ["RunConfig", "RunError", "run"]
 
+SCENARIO_FILES: Final = "scenario files"
+"""Key of the digest of the scenario files, in the order of the scenarios."""
+_CONTENT: Final = "content of its plug-in, weight or scenario files"
 _PARTS: Final = ("episodes", "solutions")
 
 
@@ -51,7 +57,10 @@ def run(
     observer: Observer = Observer(),  # noqa: B008 - no state
     executor: Executor | None = None,
 ) -> RunFolder:
-    """Drives every episode of a run, or those that an interrupted one left.
+    """Drives every episode of a run, or those that are missing in its folder.
+
+    A folder that holds the same run, but for scenarios that are new, is extended: its rows are
+    kept. The list in ``run.json`` is written before anything is driven.
 
     Args:
         config: The run.
@@ -63,16 +72,20 @@ def run(
         The run folder, complete.
 
     Raises:
-        RunError: The run may not start or cannot go on, or its folder holds another one.
+        RunError: The run may not start or cannot go on, or its folder holds another one, or one
+            of more scenarios.
         RegistryError: A plug-in cannot be found or built, or an option is wrong.
         ScenarioError: There are no scenarios.
+        SelectionError: Nothing is left of the choice among them.
         FileError: A result cannot be written.
     """
-    refs = find_scenarios(config.source)[: config.limit]
+    refs = _chosen(config)
     folder = RunFolder(config.out)
-    manifest = _open_folder(folder, _manifest(config, refs))
+    wanted = _manifest(config, refs)
+    _open_folder(folder, wanted, refs)
     tasks = list(product(refs, config.arms))
     with _held(folder):
+        manifest = _extended(folder, wanted, refs)
         kept, left = _unfinished(folder, tasks)
         observer.begin(dict.fromkeys(config.arms, len(refs)), kept)
         if left:
@@ -87,6 +100,15 @@ def run(
         if config.solutions:
             write_solutions(folder, refs, config.arms)
     return folder
+
+
+def _chosen(config: RunConfig) -> list[ScenarioRef]:
+    """The scenarios of a run."""
+    refs = find_ids(config.source, config.ids) if config.ids else find_scenarios(config.source)
+    refs = matching(refs, config.only)
+    if config.sample is not None:
+        refs = sampled(refs, config.sample, config.seed)
+    return refs[: config.limit]
 
 
 def _executor(config: RunConfig) -> Executor:
@@ -177,7 +199,7 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
             "predictor file": content_digest(source_files(predictor)),
             "traffic file": content_digest(source_files(traffic)),
             "weights": content_digest(foreteller.weight_files()),
-            "scenario files": content_digest(ref.path for ref in refs),
+            SCENARIO_FILES: content_digest(ref.path for ref in refs),
         },
         started=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=environment.versions,
@@ -186,12 +208,8 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
     )
 
 
-def _open_folder(folder: RunFolder, manifest: RunManifest) -> RunManifest:
-    """Makes the run folder, or checks that the one that is there holds the same run.
-
-    Returns:
-        What its ``run.json`` holds.
-    """
+def _open_folder(folder: RunFolder, manifest: RunManifest, refs: Sequence[ScenarioRef]) -> None:
+    """Makes the run folder, or checks that the one that is there holds the same run."""
     for part in (folder.path / name for name in _PARTS):
         if part.is_symlink():
             raise RunError(
@@ -199,20 +217,66 @@ def _open_folder(folder: RunFolder, manifest: RunManifest) -> RunManifest:
                 "remove it or choose another --out"
             )
     if folder.manifest.exists():
-        old = read_manifest(folder)
-        there, here = _identity(old), _identity(manifest)
-        odd = next((key for key in here if there.get(key) != here[key]), None)
-        if odd is not None:
-            raise RunError(
-                f"{folder.path} holds a run with another {odd}; nothing was changed. "
-                "Choose another --out, or give the same arguments to resume"
-            )
-        return old
+        _check_same(folder, read_manifest(folder), manifest, refs)
+        return
     remove_half_written(folder.path, folder.manifest.name)
     if folder.path.is_dir() and any(folder.path.iterdir()):
         raise RunError(f"{folder.path} is not empty and holds no run; choose another --out")
     write_manifest(folder, manifest)
-    return manifest
+
+
+def _extended(folder: RunFolder, manifest: RunManifest, refs: Sequence[ScenarioRef]) -> RunManifest:
+    """Adds to the run in a folder the scenarios that it does not hold yet.
+
+    Returns:
+        What its ``run.json`` holds then.
+    """
+    old = read_manifest(folder)  # Anew: until the folder was held, somebody may have extended it.
+    _check_same(folder, old, manifest, refs)
+    if old.scenarios == manifest.scenarios:
+        return old
+    chosen = {name: getattr(manifest.config, name) for name in SELECTION}
+    grown = replace(
+        old,
+        config=replace(old.config, **chosen),
+        scenarios=manifest.scenarios,
+        digests=manifest.digests,
+    )
+    write_manifest(folder, grown)
+    return grown
+
+
+def _check_same(
+    folder: RunFolder, old: RunManifest, manifest: RunManifest, refs: Sequence[ScenarioRef]
+) -> None:
+    """Refuses a run that differs from the one in the folder, but for scenarios that are new.
+
+    Raises:
+        RunError: It does.
+    """
+    files = {SCENARIO_FILES: old.digests.get(SCENARIO_FILES, "")}  # Looked at when all are there.
+    there = _identity(old)
+    here = _identity(replace(manifest, digests={**manifest.digests, **files}))
+    odd = next((key for key in here if there.get(key) != here[key]), None)
+    by_id = {ref.id: ref.path for ref in refs}
+    lost = [name for name in old.scenarios if name not in by_id]
+    if odd is None and lost:
+        raise RunError(
+            f"{folder.path} holds a run of {len(old.scenarios)} scenarios, of which this one "
+            f"leaves out {len(lost)} ({lost[0]}{', ...' if len(lost) > 1 else ''}): a run may grow "
+            "but not shrink; nothing was changed. Choose another --out, or name all of them"
+        )
+    if old.scenarios == manifest.scenarios:
+        held = manifest.digests[SCENARIO_FILES]
+    else:
+        held = content_digest(by_id[name] for name in old.scenarios if name in by_id)
+    if odd is None and held not in files.values():
+        odd = _CONTENT
+    if odd is not None:
+        raise RunError(
+            f"{folder.path} holds a run with another {odd}; nothing was changed. "
+            "Choose another --out, or give the same arguments to resume"
+        )
 
 
 def _identity(manifest: RunManifest) -> dict[str, Any]:
@@ -224,8 +288,7 @@ def _identity(manifest: RunManifest) -> dict[str, Any]:
         "traffic version": manifest.traffic,
         **{f"value of {name}": value for name, value in _leaves(manifest.settings)},
         "dosplan version": manifest.versions.get("dosplan"),
-        "list of scenarios": manifest.scenarios,
-        "content of its plug-in, weight or scenario files": manifest.digests,
+        _CONTENT: manifest.digests,
     }
 
 

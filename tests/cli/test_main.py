@@ -331,6 +331,47 @@ def test_run_without_arguments_has_the_defaults_of_the_configuration(
     assert (config.planner, config.predictor) == ("mpc", "dos")
 
 
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        ([], ("suite", ())),
+        (["suite"], ("suite", ())),
+        (["my/folder"], ("my/folder", ())),
+        (["a.xml", "b.zip", "s3://bucket/c"], (("a.xml", "b.zip", "s3://bucket/c"), ())),
+        (["ZAM_A-1_1_T-1"], ("suite", ("ZAM_A-1_1_T-1",))),
+        (
+            ["ZAM_A-1_1_T-1@7", "B:sub/b.xml", "--source", "x"],
+            ("x", ("ZAM_A-1_1_T-1@7", "B:sub/b.xml")),
+        ),
+        (["--source", "x.zip"], ("x.zip", ())),
+        (["a.xml", "ZAM_A-1_1_T-1"], (("a.xml", "ZAM_A-1_1_T-1"), ())),
+    ],
+)
+def test_run_takes_sources_and_ids(
+    monkeypatch: pytest.MonkeyPatch, words: list[str], wanted: object
+) -> None:
+    chosen = ["--only", "a", "--only", "b", "--sample", "3"]
+    config = _configured(monkeypatch, *words, *chosen)
+    assert (config.source, config.ids) == wanted
+    assert (config.only, config.sample) == (("a", "b"), 3)
+
+
+def test_run_drives_ids_and_extends_a_run(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    asked = ["--source", str(scenes), *COAST, "--workers", "1", "--out", str(out), "--quiet"]
+    assert main(["run", "ZAM_Test-1_1_T-1", *asked]) == cli.OK
+    assert [row.scenario for row in read_rows(out / "scenarios.jsonl")] == ["ZAM_Test-1_1_T-1"] * 2
+    assert main(["run", *asked]) == cli.OK
+    assert len(read_rows(out / "scenarios.jsonl")) == 4
+    capsys.readouterr()
+    assert "holds a run of 2 scenarios" in _complaint(capsys, ["run", "ZAM_Test-1_1_T-1", *asked])
+    assert "holds no scenario ZAM_Tset" in _complaint(capsys, ["run", "ZAM_Tset", *asked])
+    assert "is no id" in _complaint(capsys, ["run", str(scenes), *asked])
+    assert "--only snow: none of 2" in _complaint(capsys, ["run", *asked, "--only", "snow"])
+
+
 def test_set_hands_options_to_planner_and_predictor(monkeypatch: pytest.MonkeyPatch) -> None:
     given = ["planner.gain=2", "predictor.coverage=0.9", "predictor.sets=free"]
     given += ["predictor.fast=true", "predictor.base=", "planner.term=a=b.c", "planner.gain=3"]

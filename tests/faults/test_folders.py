@@ -76,7 +76,8 @@ def test_a_row_that_does_not_fit_is_one_line_and_is_driven_again(
     config = configured(tmp_path / "run", scenes)
     monkeypatch.setattr(runner, "_write_files", lambda *_: None)  # Larger than a row.
     folder = RunFolder(config.out)
-    runner._open_folder(folder, runner._manifest(config, find_scenarios(scenes)))
+    refs = find_scenarios(scenes)
+    runner._open_folder(folder, runner._manifest(config, refs), refs)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
     try:
@@ -120,7 +121,6 @@ def test_a_folder_of_another_configuration_is_left_as_it_is(scenes: Path, tmp_pa
         {"seed": 1},
         {"memory_limit": 100},
         {"episode_timeout": 1.0},
-        {"limit": 2},
     ]
     for change in changes:
         with pytest.raises(RunError, match=f"another {next(iter(change))}; nothing was changed"):

@@ -6,12 +6,14 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import read_manifest
 from dosplan.results.rows import row_line
 from dosplan.running import run as runner
 from dosplan.running.progress import ProgressObserver
@@ -54,11 +56,11 @@ def _run_and_die(config: RunConfig, moment: int) -> None:
             os.kill(os.getpid(), signal.SIGKILL)
         passed += 1
 
-    replace = Path.replace
+    real_replace = Path.replace
 
     def dying_replace(self: Path, target: Path) -> Path:
         maybe_die()
-        replaced = replace(self, target)
+        replaced = real_replace(self, target)
         maybe_die()
         return replaced
 
@@ -116,6 +118,30 @@ def test_kill_9_of_the_runner_again_and_again_loses_nothing(
     _, complaint = process.communicate(timeout=300.0)
     assert process.returncode == 0, complaint
     assert untimed(out) == undisturbed
+
+
+# The run.json of an extension takes its name, and so do the rows at the start and the end, the two
+# summaries and an episode's file for each of the two new episodes, which is followed by its row.
+GROWN_MOMENTS = 2 * (5 + EPISODES // 2) + EPISODES // 2
+
+
+@pytest.mark.parametrize("moment", range(GROWN_MOMENTS + 1))
+def test_a_run_that_was_killed_while_it_grew_is_resumed(
+    scenes: Path, tmp_path: Path, undisturbed: list[dict[str, Any]], moment: int
+) -> None:
+    config = configured(tmp_path / "run", scenes)
+    run_here(replace(config, limit=1))
+    child = multiprocessing.get_context("fork").Process(target=_run_and_die, args=(config, moment))
+    child.start()
+    child.join(300.0)
+    assert child.exitcode == (0 if moment == GROWN_MOMENTS else -signal.SIGKILL)
+
+    driven: list[int] = []
+    folder = run_here(config, ProgressObserver(lambda done, total: driven.append(done)))
+    assert untimed(folder) == undisturbed
+    assert driven[0] >= 2  # The rows of the first scenario were kept.
+    assert len(read_manifest(folder).scenarios) == 2
+    assert not [path for path in folder.path.rglob(".*") if path.name != ".."]
 
 
 @pytest.fixture

@@ -114,7 +114,7 @@ def _without_git() -> Iterator[None]:
 
 def _use(case: Case, folder: RunFolder, config: RunConfig) -> None:
     """Does with a run folder what the commands do."""
-    names = [path.stem for path in Path(config.source).iterdir()]
+    names = [path.stem for path in Path(str(config.source)).iterdir()]
     with one_line_at_most():
         read_run(folder.path)
     with one_line_at_most():

@@ -20,10 +20,11 @@ import pytest
 from dosplan.plugins.registry import RegistryError
 from dosplan.results import drive
 from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import read_manifest
 from dosplan.results.recording import KEPT_EVERY, Recording
 from dosplan.results.rows import read_rows
 from dosplan.running import run as runner
-from dosplan.running.executor import Results, Task
+from dosplan.running.executor import Results, SerialExecutor, Task
 from dosplan.running.job import EpisodeResult, Session
 from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunConfig, RunError, run
@@ -184,7 +185,6 @@ def test_one_arm_alone_has_no_comparison(scenes: Path, tmp_path: Path) -> None:
     [
         ({"workers": 1, "replan_every": 2}, "replan_every"),
         ({"seed": 1}, "seed"),
-        ({"limit": 2}, "limit"),
         ({"planner": f"{PLUGINS}:SlowPlanner"}, "planner"),
         ({"traffic": SHY}, "traffic"),
         ({"arms": (Arm.WITH_DOS,)}, "arms"),
@@ -196,12 +196,113 @@ def test_another_configuration_overwrites_nothing(
     scenes: Path, tmp_path: Path, change: dict[str, Any], named: str
 ) -> None:
     config = _config(tmp_path / "run", scenes, limit=1)
-    runner._open_folder(RunFolder(config.out), runner._manifest(config, find_scenarios(scenes)[:1]))
+    refs = find_scenarios(scenes)[:1]
+    runner._open_folder(RunFolder(config.out), runner._manifest(config, refs), refs)
     before = RunFolder(config.out).manifest.read_bytes()
     with pytest.raises(RunError, match=f"another {named}; nothing was changed"):
         run(replace(config, **change))
     assert RunFolder(config.out).manifest.read_bytes() == before
     assert [path.name for path in config.out.iterdir()] == ["run.json"]
+
+
+def _driven(config: RunConfig) -> tuple[RunFolder, list[tuple[str, Arm]]]:
+    """The run, and which episodes were driven for it this time."""
+    driven: list[tuple[str, Arm]] = []
+
+    class Watched(SerialExecutor):
+        def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
+            for (ref, arm), result in super().drive(config, tasks):
+                driven.append((ref.id, arm))
+                yield (ref, arm), result
+
+    return run(config, executor=Watched()), driven
+
+
+def _ids(*numbers: int) -> list[str]:
+    return [f"ZAM_Test-{number}_1_T-1" for number in numbers]
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "wanted", "new"),
+    [
+        ({"limit": 2}, {"limit": 4}, (0, 1, 2, 3), (2, 3)),
+        ({"ids": tuple(_ids(4))}, {"ids": tuple(_ids(4, 1))}, (4, 1), (1,)),
+        ({"only": ("test-3",)}, {}, (0, 1, 2, 3, 4, 5), (0, 1, 2, 4, 5)),
+        # The new ones may stand anywhere in the list.
+        ({"only": ("test-3", "test-5")}, {"limit": 6}, (0, 1, 2, 3, 4, 5), (0, 1, 2, 4)),
+    ],
+)
+def test_a_finished_run_is_extended(
+    scenes: Path,
+    tmp_path: Path,
+    first: dict[str, Any],
+    then: dict[str, Any],
+    wanted: tuple[int, ...],
+    new: tuple[int, ...],
+) -> None:
+    config = _config(tmp_path / "run", scenes, arms=(Arm.WITH_DOS,))
+    before, _ = _driven(replace(config, **first))
+    kept = before.rows.read_text().splitlines()
+    folder, driven = _driven(replace(config, **then))
+    assert driven == [(name, Arm.WITH_DOS) for name in _ids(*new)]
+    assert [row.scenario for row in read_rows(folder.rows)] == _ids(*wanted)
+    assert set(kept) <= set(folder.rows.read_text().splitlines())
+    assert read_json(folder.summary)["with_dos"]["n"] == len(wanted)
+    manifest = read_manifest(folder)
+    assert list(manifest.scenarios) == _ids(*wanted)
+    default = _config(tmp_path, scenes)
+    for name in ("ids", "only", "sample", "limit"):
+        assert getattr(manifest.config, name) == then.get(name, getattr(default, name))
+    # What it grew to is the run now.
+    with pytest.raises(RunError, match=r"may grow but not shrink; nothing was changed"):
+        run_here(replace(config, **first))
+    assert read_manifest(folder) == manifest
+    assert _driven(replace(config, **then))[1] == []
+
+
+def test_a_run_is_not_extended_by_another(scenes: Path, tmp_path: Path) -> None:
+    shutil.copytree(scenes, tmp_path / "scenes")
+    config = _config(tmp_path / "run", tmp_path / "scenes", limit=1)
+    folder = run_here(config)
+    before = folder.manifest.read_bytes()
+    with pytest.raises(RunError, match=r"another seed; nothing was changed"):
+        run_here(replace(config, limit=3, seed=1))
+    with (tmp_path / "scenes/ZAM_Test-0_1_T-1.xml").open("a") as file:
+        file.write("\n")
+    with pytest.raises(RunError, match=r"another content of its plug-in, weight or scenario files"):
+        run_here(replace(config, limit=3))
+    assert folder.manifest.read_bytes() == before
+
+
+def test_a_run_grows_with_its_source(scenes: Path, tmp_path: Path) -> None:
+    source = tmp_path / "scenes"
+    source.mkdir()
+    shutil.copy(scenes / "ZAM_Test-1_1_T-1.xml", source)
+    config = _config(tmp_path / "run", source, arms=(Arm.WITH_DOS,))
+    run_here(config)
+    shutil.copy(scenes / "ZAM_Test-0_1_T-1.xml", source)
+    folder, driven = _driven(config)
+    assert driven == [(_ids(0)[0], Arm.WITH_DOS)]
+    assert [row.scenario for row in read_rows(folder.rows)] == _ids(0, 1)
+
+
+def test_what_was_chosen_is_in_run_json_and_found_again(scenes: Path, tmp_path: Path) -> None:
+    shutil.copytree(scenes, tmp_path / "more")
+    for file in (tmp_path / "more").iterdir():
+        text = file.read_text().replace("ZAM_Test", "ZAM_More")
+        file.with_name(file.name.replace("Test", "More")).write_text(text)
+        file.unlink()
+    config = _config(tmp_path / "run", scenes, arms=(Arm.WITH_DOS,))
+    config = replace(config, source=(str(scenes), str(tmp_path / "more")), sample=3, seed=4)
+    folder = run_here(config)
+    manifest = read_manifest(folder)
+    assert manifest.config == config.settings
+    assert len(manifest.scenarios) == 3
+    assert read_json(folder.summary)["run"]["source"] == f"{scenes}, {tmp_path / 'more'}"
+    for scenario in manifest.scenarios:
+        ((_, found),) = drive.find_drives(folder.path, scenario)
+        assert found is not None
+        assert found.scenario.id == scenario
 
 
 @pytest.mark.parametrize("changed", ["planner.py", "traffic.py", "scenes/ZAM_Test-0_1_T-1.xml"])
@@ -218,7 +319,7 @@ def test_other_content_of_the_same_files_is_another_run(
         traffic=f"{tmp_path / 'traffic.py'}:ShyTraffic",
     )
     refs = find_scenarios(config.source)[:1]
-    runner._open_folder(RunFolder(config.out), runner._manifest(config, refs))
+    runner._open_folder(RunFolder(config.out), runner._manifest(config, refs), refs)
     with (tmp_path / changed).open("a") as file:
         file.write("\n")
     with pytest.raises(RunError, match="another content of its plug-in, weight or"):
@@ -365,6 +466,7 @@ def test_bad_input_is_refused_before_a_folder_is_made(
     [
         {"workers": 0},
         {"limit": 0},
+        {"sample": 0},
         {"replan_every": 0},
         {"episode_timeout": 0.0},
         {"episode_timeout": float("nan")},
@@ -467,7 +569,8 @@ def test_an_episode_that_cannot_be_saved_ends_the_run(scenes: Path, tmp_path: Pa
     out = tmp_path / "run"
     out.mkdir()
     config = _config(out, scenes, limit=1, arms=(Arm.WITH_DOS,))
-    runner._open_folder(RunFolder(out), runner._manifest(config, find_scenarios(scenes)[:1]))
+    refs = find_scenarios(scenes)[:1]
+    runner._open_folder(RunFolder(out), runner._manifest(config, refs), refs)
     (out / "episodes").write_text("a file where a folder should be")
     with pytest.raises(FileError, match=r"cannot write .*ZAM_Test-0_1_T-1\.with_dos\.npz"):
         run(config)

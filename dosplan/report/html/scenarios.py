@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
-from dosplan.scenario.sources.catalogue import SUITE
+from dosplan.scenario.sources.catalogue import Source, suite_road_kinds
+from dosplan.scenario.sources.fetch import SUITE
 from dosplan.types import Scenario, place_of
 
 ROAD_TAGS: Final = (
@@ -78,7 +77,7 @@ class Scenes:
         return self.road_kinds.get(scenario, tag.replace("_", " "))
 
 
-def find_scenes(source: str, cached: bool) -> Scenes:
+def find_scenes(source: Source, cached: bool) -> Scenes:
     """Looks for the scenarios of a run.
 
     Args:
@@ -92,7 +91,7 @@ def find_scenes(source: str, cached: bool) -> Scenes:
         refs = find_scenarios(source)
     except (ScenarioError, OSError) as error:
         return Scenes({}, {}, " ".join(str(error).split()), cached)
-    kinds = _suite_road_kinds(refs[0].path.parents[1]) if source == SUITE else {}
+    kinds = suite_road_kinds() if source == SUITE else {}
     return Scenes({ref.id: ref for ref in refs}, kinds, cached=cached)
 
 
@@ -112,9 +111,3 @@ def families(scenarios: Sequence[str]) -> dict[str, str]:
         scenario: place if sizes[place] >= SMALLEST_FAMILY else place.partition("_")[0]
         for scenario, place in places.items()
     }
-
-
-def _suite_road_kinds(folder: Path) -> dict[str, str]:
-    with (folder / "manifest.csv").open(newline="", encoding="utf-8") as file:
-        rows: Iterable[Mapping[str, str]] = csv.DictReader(file)
-        return {row["id"]: row["road_kind"] for row in rows}

@@ -16,6 +16,7 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, read_manifest
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results.rows import read_run
+from dosplan.scenario.sources.catalogue import source_text
 from dosplan.system.files import write_text
 from dosplan.types import Arm
 
@@ -129,7 +130,7 @@ def _facts(manifest: RunManifest) -> dict[str, str]:
         "Predictor": manifest.predictor,
         "Traffic": manifest.traffic,
         "Options": ", ".join(f"{name} = {value}" for name, value in options.items()),
-        "Scenarios": f"{len(manifest.scenarios)} of {config.source}",
+        "Scenarios": f"{len(manifest.scenarios)} of {source_text(config.source)}",
         "Seed": str(config.seed),
         "Started": manifest.started,
         "dosplan": f"{manifest.versions.get('dosplan', '')} ({str(manifest.git_revision)[:12]})",

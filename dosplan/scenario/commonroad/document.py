@@ -10,6 +10,7 @@ import gzip
 import io
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -136,6 +137,48 @@ def scan(path: Path) -> tuple[str, str, list[int]]:
     parser.StartDoctypeDeclHandler = _doctype
     _parse(path, lambda: parser.Parse(data, True))
     return (*header[0], problems)
+
+
+class _FoundError(Exception):
+    """Ends a parse that has found what it looks for."""
+
+
+def scan_tags(path: Path) -> frozenset[str]:
+    """Tags of a scenario, without reading on behind them.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The tags, such as ``highway``.
+
+    Raises:
+        ScenarioError: The file cannot be read or is not XML.
+    """
+    tags: list[str] = []
+    listed = root = False
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal listed, root
+        if not root and "tags" in attributes:  # So they are written in files of 2018.
+            tags.extend(attributes["tags"].split())
+            raise _FoundError
+        root = True
+        if listed:
+            tags.append(tag)
+        listed = listed or tag == "scenarioTags"
+
+    def end(tag: str) -> None:
+        if tag == "scenarioTags":
+            raise _FoundError
+
+    data = unpacked(path, read_file(path))
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = _doctype
+    with suppress(_FoundError):
+        _parse(path, lambda: parser.Parse(data, True))
+    return frozenset(tags)
 
 
 def _problem_id(text: str | None) -> int:

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 from dosplan.scenario.commonroad.document import SUFFIXES, ScenarioError, scan
-from dosplan.scenario.sources.fetch import LIST, Candidate, candidates, listed_candidates, place
-
-SUITE: Final = "suite"
+from dosplan.scenario.sources.fetch import (
+    LIST,
+    SUITE,
+    Candidate,
+    candidates,
+    joined_candidates,
+    listed_candidates,
+    place,
+)
+from dosplan.system.errors import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,11 @@ class ScenarioRef:
         return self.id.removesuffix(f"@{self.problem_id}")
 
 
-def find_scenarios(source: str | Path) -> list[ScenarioRef]:
+Source = str | Path | Sequence[str | Path]
+"""Where scenarios are: a source, as ``find_scenarios`` says, or several."""
+
+
+def find_scenarios(source: Source) -> list[ScenarioRef]:
     """Lists the episodes of a source, in the order of their paths, or of the list.
 
     A file that is broken is listed too, so that its failure becomes a result and is not lost.
@@ -61,13 +71,18 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
             * the URL of a file, a folder or an archive (``s3://bucket/folder``, whatever fsspec
               reads).
 
+            Several sources are taken together, in their order; an id of the suite may be one.
+
     Returns:
         The episodes, ids unique.
 
     Raises:
         ScenarioError: Nothing is found, or an archive or a list cannot be used.
     """
-    if source == SUITE:
+    if not isinstance(source, str | Path):
+        suite = {ref.scenario: ref.path for ref in _suite()}
+        refs = _episodes(joined_candidates(source, suite))
+    elif source == SUITE:
         refs = _suite()
     elif str(source).startswith(LIST):
         listing = Path(str(source).removeprefix(LIST))
@@ -76,8 +91,59 @@ def find_scenarios(source: str | Path) -> list[ScenarioRef]:
     else:
         refs = _episodes(candidates(source))
     if not refs:
-        raise ScenarioError(place(source), f"holds no scenario ({' or '.join(SUFFIXES)})")
+        where = place(source) if isinstance(source, str | Path) else Path(source_text(source))
+        raise ScenarioError(where, f"holds no scenario ({' or '.join(SUFFIXES)})")
     return refs
+
+
+def find_ids(source: Source, ids: Sequence[str]) -> list[ScenarioRef]:
+    """Finds scenarios by their ids.
+
+    Args:
+        source: Where to look, as ``find_scenarios`` takes it.
+        ids: Ids; one without a planning problem stands for all of its file.
+
+    Returns:
+        The episodes, each once, in the order of the ids.
+
+    Raises:
+        ScenarioError: There is no such source, or it does not hold one of them.
+    """
+    there: dict[str, list[ScenarioRef]] = {}
+    for ref in find_scenarios(source):
+        for name in {ref.id, ref.scenario}:
+            there.setdefault(name, []).append(ref)
+    found: dict[ScenarioRef, None] = {}
+    for wanted in ids:
+        if wanted not in there:
+            raise ScenarioError(
+                Path(source_text(source)),
+                f"holds no scenario {wanted}{did_you_mean(wanted, there, 3)}; "
+                "name a file or a folder that is there, or its place with --source",
+            )
+        found.update(dict.fromkeys(there[wanted]))
+    return list(found)
+
+
+def source_text(source: Source) -> str:
+    """Names a source for people.
+
+    Args:
+        source: One source or several.
+
+    Returns:
+        It, or its parts with commas between them.
+    """
+    return str(source) if isinstance(source, str | Path) else ", ".join(map(str, source))
+
+
+def suite_road_kinds() -> dict[str, str]:
+    """The kinds of road of the embedded suite, in its own words.
+
+    Returns:
+        Kinds by the id of the scenario.
+    """
+    return {row["id"]: row["road_kind"] for row in _suite_rows()}
 
 
 def stem(path: Path) -> str:
@@ -134,18 +200,25 @@ def _refs(candidate: Candidate) -> list[ScenarioRef] | None:
 
 
 def _suite() -> list[ScenarioRef]:
+    folder = _suite_folder()
+    return [_suite_ref(folder / row["file"], row["id"]) for row in _suite_rows()]
+
+
+def _suite_folder() -> Path:
     package = Path(__file__).resolve().parents[2]
     installed, source = package / "_suite", package.parent / "scenarios"
-    folder = installed if installed.is_dir() else source
-    manifest = folder / "manifest.csv"
+    return installed if installed.is_dir() else source
+
+
+def _suite_rows() -> list[dict[str, str]]:
+    manifest = _suite_folder() / "manifest.csv"
     try:
         with manifest.open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(stream))
+            return list(csv.DictReader(stream))
     except OSError as error:
         raise ScenarioError(
             manifest, f"cannot be read ({error.strerror}); install dosplan again"
         ) from None
-    return [_suite_ref(folder / row["file"], row["id"]) for row in rows]
 
 
 def _suite_ref(path: Path, name: str) -> ScenarioRef:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, cast
@@ -14,6 +14,12 @@ from dosplan.scenario.sources.download import SCHEMES, downloaded
 
 LIST: Final = "@"
 """Begins a source that is a list."""
+SUITE: Final = "suite"
+"""The source that is the embedded suite."""
+
+_NOTHING: Final = (
+    'does not exist; name a file, a folder, a quoted glob, an archive, @LIST or "suite"'
+)
 
 
 @dataclass(frozen=True)
@@ -47,11 +53,34 @@ def candidates(source: str | Path) -> list[Candidate]:
     """
     found = _named(Path(), str(source))
     if not found and not (there := place(source)).exists():
-        raise ScenarioError(
-            there,
-            'does not exist; name a file, a folder, a quoted glob, an archive, @LIST or "suite"',
-        )
+        raise ScenarioError(there, _NOTHING)
     return list({candidate.path: candidate for candidate in found}.values())
+
+
+def joined_candidates(sources: Sequence[str | Path], suite: Mapping[str, Path]) -> list[Candidate]:
+    """Finds the files of several sources, as those of a list's lines.
+
+    Args:
+        sources: Files, folders, globs, archives, URLs, lists, ids of the suite, or the suite.
+        suite: Files of the embedded suite by the id of their scenario.
+
+    Returns:
+        The files, in the order of the sources.
+
+    Raises:
+        ScenarioError: One of them is not there, or cannot be used.
+    """
+    found: list[Candidate] = []
+    for entry in map(str, sources):
+        if entry.startswith(LIST):
+            found.extend(listed_candidates(Path(entry.removeprefix(LIST)), suite))
+        elif entry == SUITE:
+            found.extend(c for scenario in suite for c in _by_id(Path(), scenario, suite))
+        elif named := _named(Path(), entry, label=entry) or _by_id(Path(), entry, suite):
+            found.extend(named)
+        else:
+            raise ScenarioError(Path(entry), _NOTHING)
+    return found
 
 
 def listed_candidates(path: Path, suite: Mapping[str, Path]) -> list[Candidate]:

@@ -1,7 +1,7 @@
 """What a plug-in implements: one method of ``Planner`` or of ``Predictor``.
 
 The public methods ``reset``, ``plan`` and ``predict`` belong to the benchmark: they check what a
-plug-in returns and name the plug-in in every complaint, so that no plug-in can forget to. A class
+plug-in returns and name the plug-in in error messages, so that no plug-in has to. A class
 that overrides one of them is refused. A plug-in fills ``compute_plan`` or ``compute_occupancy``
 and, where it prepares something per episode, ``prepare``.
 
@@ -33,7 +33,7 @@ class PluginError(DosplanError, RuntimeError):
 
 
 class NoPlanError(DosplanError, RuntimeError):
-    """A planner found no plan and has none to fall back to: it declares its failure.
+    """A planner found no plan and has no fallback: it reports its failure.
 
     The episode ends there as a planner failure.
     """
@@ -56,7 +56,7 @@ class NoSettings:
 
 @dataclass(frozen=True)
 class PredictorSettings:
-    """What every predictor can be asked for; those of a predictor inherit from it.
+    """The options of every predictor; the settings of a predictor inherit from it.
 
     Attributes:
         horizon: Number T of steps to predict.
@@ -69,10 +69,10 @@ class PredictorSettings:
             raise ValueError(f"horizon is {self.horizon}, expected 1 or more")
 
     def check_reach(self, base: PluginSpec[Predictor], name: str = "base") -> None:
-        """For ``__post_init__``: refuses a predictor within that does not predict as far.
+        """For ``__post_init__``: refuses a nested predictor with a shorter horizon.
 
         Args:
-            base: The predictor within.
+            base: The nested predictor.
             name: The setting that holds it.
 
         Raises:
@@ -127,8 +127,8 @@ class Planner(ABC):
         name: Versioned name that goes into results (``mpc-v3``); a changed behaviour is a new
             version.
         settings: The frozen dataclass of its options; the constructor takes an instance of it.
-        look_ahead: Number of predicted steps that it cannot do without; a predictor with a shorter
-            horizon is refused. A planner whose settings decide assigns it in its constructor.
+        look_ahead: Number of predicted steps that it needs; a predictor with a shorter horizon is
+            refused. A planner whose settings decide on it assigns it in its constructor.
         last_seconds: Wall-clock time of the last ``plan``, s.
     """
 
@@ -226,7 +226,7 @@ class Planner(ABC):
 
 
 class Predictor(ABC):
-    """Foresees where road users will be.
+    """Predicts where road users will be.
 
     Attributes:
         name: Versioned name that goes into results (``constant-velocity-v1``).
@@ -300,7 +300,7 @@ class Predictor(ABC):
         return occupancy
 
     def weight_files(self) -> tuple[Path, ...]:
-        """Names the files of trained numbers that it uses.
+        """Lists the files of trained weights that it uses.
 
         Their SHA-256 goes into ``run.json``: a run with other weights is another run.
 

@@ -76,7 +76,7 @@ def goal_miss(
     """
     turned = 0.0
     if goal.heading is not None:
-        # Relative to the middle of the interval, so that one that spans +-pi needs no care.
+        # Relative to the middle of the interval, so that one across +-pi is no special case.
         lower, upper = goal.heading
         middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
         turned = _beyond(float(wrap_angle(heading - middle)), -half, half)

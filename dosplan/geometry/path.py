@@ -1,4 +1,4 @@
-"""Paths in the plane: what they are like at an arc length, and where a point is beside them."""
+"""Paths in the plane: their values at an arc length, and the projection of points onto them."""
 
 from __future__ import annotations
 
@@ -123,8 +123,8 @@ class ReferencePath:
 class EvenPath(ReferencePath):
     """A path whose points are equally spaced in arc length and begin at zero.
 
-    What holds at an arc length is found by a division instead of a search: for planners that ask
-    for thousands of them in a cycle.
+    Values at an arc length are found by a division instead of a search: for planners that need
+    thousands of them in a cycle.
 
     Attributes:
         length: m.

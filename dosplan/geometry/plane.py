@@ -42,7 +42,7 @@ def to_world(points: FloatArray, poses: FloatArray) -> FloatArray:
 
 
 def to_body(points: FloatArray, poses: FloatArray) -> FloatArray:
-    """Sees scenario-frame points from poses; the way back of ``to_world``.
+    """Moves scenario-frame points into the frames of poses; the inverse of ``to_world``.
 
     Args:
         points: (..., V, 2) points in the scenario frame, m.

@@ -1,1 +1,1 @@
-"""Finds plug-ins, builds them with their options, and checks their contract."""
+"""Finds plug-ins, builds them with their options, and checks that they keep the contract."""

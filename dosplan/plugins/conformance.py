@@ -106,9 +106,9 @@ class Contract:
 
     Attributes:
         plugin: Name of the plug-in.
-        made_by: Its class.
-        first: Checks up to the first that breaks, for the rest would break alike.
-        then: The rest.
+        made_by: The plug-in's class.
+        first: Checks that end at the first failure, as the others would fail for the same reason.
+        then: The other checks.
     """
 
     plugin: str
@@ -141,7 +141,7 @@ class Contract:
         """Makes all checks.
 
         Args:
-            check: Makes one, by its name: ``self.check``, or that in a process of its own.
+            check: Makes one, by its name: ``self.check``, or the same in a separate process.
 
         Returns:
             The report.
@@ -276,7 +276,7 @@ def _common_rules(
         _Rule(
             "no_road_users",
             lambda: drive(straight_scenario()),
-            "where nobody is on the scene, the arrays of road users have no rows",
+            "where no road user is on the scene, the arrays of road users have no rows",
         ),
         _Rule(
             "many_road_users",
@@ -339,7 +339,7 @@ def _keeps_input(trace: Trace) -> None:
 
 
 def _copes(drive: _Drive) -> None:
-    with suppress(NoPlanError):  # To say that nothing is free in a crowd is an answer, too.
+    with suppress(NoPlanError):  # A planner may report that there is no plan in a crowd.
         drive(crowded_scenario())
 
 
@@ -353,16 +353,16 @@ def _in_time(trace: Trace) -> None:
 
 
 def _arms_agree(drive: _Drive) -> None:
-    def nobody(observation: Observation, horizon: int) -> Occupancy:
+    def no_prediction(observation: Observation, horizon: int) -> Occupancy:
         sets = growing_sets(observation, horizon)
         return replace(sets, valid=np.zeros_like(sets.valid))
 
-    with_sets = drive(busy_scenario(), sets=nobody)
-    without = drive(busy_scenario(), sets=lambda *asked: nobody(*asked).without_sets())
+    with_sets = drive(busy_scenario(), sets=no_prediction)
+    without = drive(busy_scenario(), sets=lambda *args: no_prediction(*args).without_sets())
     if changed := changed_fields(with_sets, without):
         raise _BrokenError(
-            f"with nobody predicted, the two arms differ in {', '.join(changed)}; leave out road "
-            "users and steps where Occupancy.valid is False"
+            f"with no road user predicted, the two arms differ in {', '.join(changed)}; leave out "
+            "road users and steps where Occupancy.valid is False"
         )
 
 

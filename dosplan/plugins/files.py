@@ -1,7 +1,7 @@
 """Plug-ins from files: a file and the modules that lie beside it, which it may import.
 
-Each folder becomes a package of its own in ``sys.modules``, under a name that nobody else uses, so
-that modules of one name in two folders do not meet. ``import helper`` in a file of the folder
+Each folder becomes a package of its own in ``sys.modules``, under a unique name, so that modules of
+the same name in two folders do not collide. ``import helper`` in a file of the folder
 finds ``helper.py`` or ``helper/__init__.py`` there before anything that is installed, as it would
 where the file is run as a script; only ``dosplan`` and the packages of installed plug-ins are
 always the installed ones. Everything else in the process imports as before.
@@ -26,7 +26,7 @@ _PREFIX: Final = "dosplan_plugin_"
 
 
 class _Loader(SourceFileLoader):
-    """Loads a module of a folder of plug-ins; never from bytecode, which may be of an old text."""
+    """Loads a module of a folder of plug-ins; never from bytecode, which may be outdated."""
 
     def __init__(self, fullname: str, path: str, folder: _Folder) -> None:
         super().__init__(fullname, path)

@@ -2,7 +2,7 @@
 
 A plug-in is named by its entry point, as ``module:Class`` or as ``path/to/file.py:Class``. Listing
 reads the metadata of installed distributions only; a plug-in is imported when it is named, so that
-a broken or heavy one costs those who do not use it nothing.
+a broken or heavy one has no effect on those who do not use it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class PluginKind(Enum):
 
 @dataclass(frozen=True)
 class PluginInfo:
-    """An installed plug-in, as its distribution announces it.
+    """An installed plug-in, as its distribution declares it.
 
     Attributes:
         name: The name to call it by.
@@ -214,7 +214,7 @@ def find_plugin(kind: PluginKind, spec: str) -> Any:
             if location.endswith(".py")
             else importlib.import_module(location)
         )
-        found = getattr(module, attribute, None)  # A module may have its own way to answer this.
+        found = getattr(module, attribute, None)  # A module may define __getattr__.
     except (Exception, SystemExit) as error:  # A plug-in's import may raise anything.
         raise RegistryError(
             f"{kind.word} {spec!r} cannot be imported: {one_line(error)}"
@@ -289,7 +289,7 @@ def portable_options(chosen: PluginSpec[Any]) -> dict[str, Any]:
 
 
 def target(plugin: type[Any]) -> str:
-    """By what name a plug-in is found, in another process as well.
+    """The name by which a plug-in is found, in another process as well.
 
     Args:
         plugin: Its class.
@@ -346,7 +346,7 @@ def _kind_of(plugin: type[Any]) -> PluginKind:
 
 
 def _shared_packages() -> frozenset[str]:
-    """Packages that a file has in common with everybody, whatever lies beside it."""
+    """Packages that a file imports as installed, whatever lies beside it."""
     offers = (offer.target for kind in PluginKind for offer in list_plugins(kind))
     return frozenset({"dosplan", *(target.partition(".")[0] for target in offers)})
 
@@ -390,7 +390,7 @@ def _check_class(found: object, spec: str, kind: PluginKind) -> None:
         )
     try:
         problem = _objection(getattr(found, "settings", None), kind)
-    except Exception as error:  # A class may have its own way to answer.
+    except Exception as error:  # Its constructor may raise anything.
         problem = f"cannot be made without arguments ({one_line(error)})"
     if problem:
         raise RegistryError(f"{kind.word} {spec!r}: its settings {problem}")

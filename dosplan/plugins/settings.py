@@ -1,4 +1,4 @@
-"""Settings of a plug-in: from the options that somebody wrote, and back to plain values.
+"""Settings of a plug-in: from the options that a user wrote, and back to plain values.
 
 Options are a mapping as YAML or JSON can hold it. A name may be dotted to reach into a part of the
 settings: into a dataclass, or into the settings of another plug-in::
@@ -61,7 +61,7 @@ def apply_options(
     """
     try:
         hints = get_type_hints(type(settings))
-    except Exception as error:  # Annotations may name what is not there.
+    except Exception as error:  # Annotations may name something undefined.
         raise TypeError(f"types of {type(settings).__name__}: {one_line(error)}") from error
     taken = sorted(field.name for field in fields(settings) if field.init)
     own: dict[str, Any] = {}

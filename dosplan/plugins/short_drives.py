@@ -82,7 +82,7 @@ def drive_planner(
 def drive_predictor(
     predictor: Predictor, scenario: Scenario, *, visible: int = HISTORY_STEPS
 ) -> Trace:
-    """Has a predictor foresee a scene that moves on; the ego rolls on.
+    """Calls a predictor for a few cycles; the ego keeps its speed.
 
     Args:
         predictor: The predictor; ``reset`` is called here.
@@ -110,7 +110,7 @@ def drive_predictor(
 
 
 def changed_fields(one: Trace, other: Trace) -> list[str]:
-    """Compares what came of two drives.
+    """Compares the results of two drives.
 
     Args:
         one: A drive.
@@ -124,13 +124,13 @@ def changed_fields(one: Trace, other: Trace) -> list[str]:
 
 
 def another_future(scenario: Scenario) -> Scenario:
-    """Changes what nobody can know while a plug-in is driven through the scene.
+    """Changes the future that a plug-in cannot know while it is driven through the scene.
 
     Args:
         scenario: The scene.
 
     Returns:
-        The same, but everybody is gone once the cycles are over.
+        The same, but without road users once the cycles are over.
     """
     valid = np.array(scenario.tracks.valid)
     valid[:, scenario.task.start_step + CYCLES :] = False

@@ -46,7 +46,7 @@ def load_scenario(ref: ScenarioRef | str | Path, *, cached: bool = False) -> Sce
 
 
 def load_recording(ref: ScenarioRef | str | Path) -> Scenario:
-    """Reads an episode for the sake of its road users.
+    """Reads an episode of which only the road users matter.
 
     Unlike ``load_scenario`` it takes files without a planning problem: their ego stands where the
     map's first lanelet begins. What is predicted does not depend on the ego.
@@ -61,16 +61,16 @@ def load_recording(ref: ScenarioRef | str | Path) -> Scenario:
         ScenarioError: The file cannot be used; one line that says why.
     """
     ref = ref if isinstance(ref, ScenarioRef) else ScenarioRef(Path(ref), "")
-    return parse_scenario(ref, read_file(ref.path), onlooker=True)
+    return parse_scenario(ref, read_file(ref.path), ego_optional=True)
 
 
-def parse_scenario(ref: ScenarioRef, content: bytes, *, onlooker: bool = False) -> Scenario:
+def parse_scenario(ref: ScenarioRef, content: bytes, *, ego_optional: bool = False) -> Scenario:
     """Makes one episode of what a file holds.
 
     Args:
-        ref: The episode; its path stands in messages and tells by its ending what is compressed.
+        ref: The episode; its path is named in messages, and its ending says how it is compressed.
         content: What the file holds.
-        onlooker: Whether a file without a planning problem is given an ego, see
+        ego_optional: Whether a file without a planning problem is given a standing ego, see
             ``load_recording``.
 
     Returns:
@@ -82,4 +82,4 @@ def parse_scenario(ref: ScenarioRef, content: bytes, *, onlooker: bool = False) 
     # networkx and scipy take long to import, and listing scenarios does not need them.
     from dosplan.scenario.commonroad.reader import read_scenario
 
-    return read_scenario(ref, content, onlooker=onlooker)
+    return read_scenario(ref, content, ego_optional=ego_optional)

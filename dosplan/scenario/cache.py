@@ -1,15 +1,15 @@
 """Parsed scenarios on disk: the second run of a scenario does not parse it again.
 
-An entry is named by a SHA-256 over all that it follows from: the file's content, the episode's
+An entry is named by a SHA-256 over all that it depends on: the file's content, the episode's
 name, the source of the code that makes a ``Scenario`` of it and the versions of the libraries it
-calls. So an entry never has to be told that it is out of date; nobody asks for it any more. What
-cannot be read back is made anew.
+calls. So no entry has to be invalidated: when one of these changes, an entry of another name is
+used. What cannot be read back is made anew.
 
-An entry is what ``dosplan.system.arrays_file`` makes of a scenario, without pickle, so that an
-entry that was tampered with can give a wrong scenario but cannot run code.
+Entries are written by ``dosplan.system.arrays_file``, without pickle, so that an entry that was
+tampered with can give a wrong scenario but cannot run code.
 
-The cache bounds itself: each of its 256 folders drops the entries that were not read for longest
-when it grows beyond its share of ``MAX_BYTES``.
+The size is bounded: each of the cache's 256 folders drops its least recently read entries when it
+grows beyond its share of ``MAX_BYTES``.
 """
 
 from __future__ import annotations

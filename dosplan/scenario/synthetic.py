@@ -1,6 +1,6 @@
 """Scenes built in code, without a file: a straight road with two lanes in one direction.
 
-They are what the conformance checks drive a plug-in through, and a place to try one's own.
+The conformance checks drive plug-ins through them, and authors can try their own there.
 The ego's lane is centred on the x axis, the other lane lies to its left; both run along +x.
 """
 

@@ -1,1 +1,1 @@
-"""Judges one episode: outcome, fault and metrics."""
+"""Scores one episode: outcome, fault and metrics."""

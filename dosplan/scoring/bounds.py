@@ -12,7 +12,7 @@ from dosplan.geometry import rectangle_corners
 from dosplan.types import BoolArray, FloatArray, RoadMap
 
 HAIRLINE: Final = 0.01
-"""Width of what is overlooked, m."""
+"""Width of a part outside that is ignored, m."""
 
 
 def outside(poses: FloatArray, size: npt.ArrayLike, road_map: RoadMap) -> BoolArray:

@@ -4,8 +4,8 @@ Two phases. A broad phase in numpy treats every shape as its bounding rectangle 
 separating-axis test of every road user and step at once; it tells between which fractions of a
 step a contact is possible at all. A narrow phase places the exact shapes in that window, at most
 ``RESOLUTION`` of relative motion apart, and asks fcl. A contact is therefore always a true overlap
-of recorded or interpolated poses. Between steps an overlap counts from ``SWEPT_TOUCH`` on, for no
-one knows the poses there any better, and is missed only if it is over within ``RESOLUTION``.
+of recorded or interpolated poses. Between steps an overlap counts from ``SWEPT_TOUCH`` on, because
+interpolated poses are no more exact than that, and is missed only if it ends within ``RESOLUTION``.
 
 The ego is described here like a road user: a row ``(x, y, heading, velocity)`` of its rectangle's
 centre.
@@ -128,9 +128,9 @@ def contacts(
     """Every contact of a drive, one at most for each step and road user.
 
     Between two steps both centres move along straight lines and both headings turn the shorter
-    way; a rectangle's heading counts modulo a half turn, which leaves its shape the same. A road
-    user that is not on the scene at the step before is looked at in the later pose alone, and so
-    is everyone at the first step. Nobody is on the scene after the end of the tracks.
+    way; a rectangle's heading counts modulo a half turn, which leaves its shape the same. Of a
+    road user that is not on the scene at the step before, only the later pose is tested; at the
+    first step, this holds for all. No road user is on the scene after the end of the tracks.
 
     Args:
         ego: (K + 1, 4) x, y, heading, velocity of the ego's centre at consecutive steps.
@@ -266,7 +266,7 @@ def _shorter_turn(turn: FloatArray, symmetry: FloatArray | float) -> FloatArray:
 def _geometry(tracks: Tracks, user: int) -> fcl.CollisionGeometry:
     """The exact shape of a road user in its body frame, for fcl.
 
-    Every solid stands on end in the plane. An outline becomes a flat mesh in the middle of the
+    Every solid stands upright on the plane. An outline becomes a flat mesh in the middle of the
     ego's height, so that a mesh, which is hollow to fcl, is met wherever the ego covers it.
     """
     outline = tracks.outlines[user]

@@ -65,8 +65,8 @@ def comfort(states: FloatArray, dt: float) -> Comfort:
     Accelerations are differences of the velocity, one for each step, which is exact for inputs
     that are held for a step; the lateral one is velocity times yaw rate, both those of the step's
     middle. Yaw rate and yaw acceleration are derivatives of the heading. A drive that is shorter
-    than a filter is smoothed as a whole; one of fewer than three steps is at rest for all that can
-    be told, and is comfortable.
+    than a filter is smoothed as a whole; one of fewer than three steps counts as at rest and
+    comfortable.
 
     Args:
         states: (K + 1, 5) ego states.

@@ -1,4 +1,4 @@
-"""Who is to blame for a collision: nuPlan's classes.
+"""Fault of a collision: nuPlan's classes.
 
 Source: nuplan-devkit, ``no_ego_at_fault_collisions`` and its ``collision_utils``. The classes are
 tried in the order of ``CollisionClass``. nuPlan looks at the first step at which shapes overlap,
@@ -27,10 +27,10 @@ from dosplan.types import (
 from dosplan.vehicle import VehicleParameters
 
 STOPPED_VELOCITY: Final = 0.05
-"""Speed up to which someone stands, m/s."""
+"""Speed up to which a road user or the ego counts as standing, m/s."""
 
 BEHIND_ANGLE: Final = np.deg2rad(150.0)
-"""Angle off the ego's heading, seen from the rear axle, beyond which someone is behind it, rad."""
+"""Angle to the ego's heading, at its rear axle, beyond which a road user is behind it, rad."""
 
 
 def classify(contact: Contact, tracks: Tracks, vehicle: VehicleParameters) -> CollisionClass:
@@ -66,9 +66,9 @@ def classify(contact: Contact, tracks: Tracks, vehicle: VehicleParameters) -> Co
 def at_fault(
     contact: Contact, kind: CollisionClass, road_map: RoadMap, vehicle: VehicleParameters
 ) -> bool:
-    """Whether the ego is to blame for a collision.
+    """Whether the ego is at fault in a collision.
 
-    It is for running into someone who stands or with its front bumper, and for a lateral
+    It is when it hits a standing road user, or hits one with its front bumper, and in a lateral
     collision while it is in several lanes or off the drivable area.
 
     Args:
@@ -78,7 +78,7 @@ def at_fault(
         vehicle: The ego's parameters.
 
     Returns:
-        True where the ego is to blame.
+        True where the ego is at fault.
     """
     if kind is CollisionClass.ACTIVE_LATERAL:
         pose = contact.ego_state[:3]

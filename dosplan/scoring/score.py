@@ -39,8 +39,8 @@ noted, but the outcome is `collision`. If the ego left the road before it collid
 `collision` and `out_of_bounds_step` is filled as well.
 
 Several road users may be touched for the first time on the way to the same step. The collision
-that is reported is the earliest of those the ego is to blame for, or the earliest of all where it
-is to blame for none.
+that is reported is the earliest of those in which the ego is at fault, or the earliest of all where
+it is at fault in none.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
 
     Args:
         scenario: The scenario that was driven.
-        episode: What the ego did, and what the planner said of itself.
+        episode: What the ego did, and the planner's reports.
         tracks: The road users as they were driven.
 
     Returns:
@@ -114,15 +114,15 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
 
     touched = first_contacts(ego, vehicle.size, tracks, start)
     classes = [classify(contact, tracks, vehicle) for contact in touched]
-    blamed = [
+    faults = [
         at_fault(contact, kind, scenario.road_map, vehicle)
         for contact, kind in zip(touched, classes, strict=True)
     ]
     collision_class: CollisionClass | None = None
     collision_with = collision_step = None
     if touched:
-        # In the order of contact: the first one to blame, or the first of all where none is.
-        reported = next((i for i, fault in enumerate(blamed) if fault), 0)
+        # In the order of contact: the first at fault, or the first of all where none is.
+        reported = next((i for i, fault in enumerate(faults) if fault), 0)
         collision_class = classes[reported]
         collision_with = int(tracks.ids[touched[reported].user])
         collision_step = touched[reported].step
@@ -145,7 +145,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
     else:
         outcome = Outcome.GOAL_MISSED
 
-    felt = comfort(states, scenario.dt)
+    ride = comfort(states, scenario.dt)
     cycles = np.flatnonzero(episode.cycle_steps < start + driven)
     part = ScoredPart(scenario, episode, tracks, states, ego, cycles)
     median, slowest = _cycle_times(episode, cycles)
@@ -154,7 +154,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         arm=episode.arm,
         outcome=outcome,
         safe=outcome in (Outcome.GOAL_MISSED, Outcome.SUCCESS),
-        at_fault=any(blamed),
+        at_fault=any(faults),
         collision_class=collision_class,
         collision_with=collision_with,
         collision_step=collision_step,
@@ -163,10 +163,10 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         velocity=_mean_velocity(states),
         progress=_progress(task.route, ego),
         steps=driven,
-        comfortable=felt.comfortable,
-        max_abs_acceleration=felt.acceleration,
-        max_abs_lateral_acceleration=felt.lateral_acceleration,
-        max_abs_jerk=felt.jerk,
+        comfortable=ride.comfortable,
+        max_abs_acceleration=ride.acceleration,
+        max_abs_lateral_acceleration=ride.lateral_acceleration,
+        max_abs_jerk=ride.jerk,
         min_time_to_collision=min_time_to_collision(ego, vehicle, tracks, start),
         cycle_ms_p50=median,
         cycle_ms_p99=slowest,
@@ -178,7 +178,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
 
 
 def failed_score(scenario_id: str, arm: Arm, error: str) -> Score:
-    """The row of an episode that never was: an unreadable file, a crashed worker.
+    """The row of an episode that was not driven: an unreadable file, a crashed worker.
 
     Args:
         scenario_id: Id of the scenario.
@@ -200,10 +200,10 @@ def failed_score(scenario_id: str, arm: Arm, error: str) -> Score:
 def min_time_to_collision(
     ego: FloatArray, vehicle: VehicleParameters, tracks: Tracks, start_step: int
 ) -> float | None:
-    """Smallest time to a collision if everyone keeps velocity and heading from a step on.
+    """Smallest time to a collision if all keep velocity and heading from a step on.
 
-    As in nuPlan, a standing ego collides with nobody, and road users behind it (the rule of a
-    rear collision) are their own concern. Shapes are the rectangles of ``Tracks.size``; the time
+    As in nuPlan, a standing ego has no collision, and road users behind it (the rule of a
+    rear collision) are left out. Shapes are the rectangles of ``Tracks.size``; the time
     is exact for them.
 
     Args:

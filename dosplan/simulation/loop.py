@@ -1,6 +1,6 @@
 """One closed-loop episode: observe, predict, plan, drive a step, again.
 
-The ego moves by the vehicle model; who else is on the road is the traffic's business. Each step the
+The ego moves by the vehicle model, the other road users by the traffic. At each step the
 planner's next input is cut to what the actuators can deliver and held for one step.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from dosplan.api import OraclePredictor, Planner, PluginError, Predictor
 from dosplan.geometry.goal import goal_reached
-from dosplan.simulation.traffic import Replay, Traffic, nobody
+from dosplan.simulation.traffic import Replay, Traffic, empty_tracks
 from dosplan.simulation.world import World
 from dosplan.system.errors import failure_place, one_line
 from dosplan.types import (
@@ -90,10 +90,10 @@ def run_episode(
     Args:
         scenario: What to drive.
         planner: Drives the ego; ``reset`` is called here.
-        predictor: Foresees the road users; ``reset`` is called here.
-        arm: ``WITHOUT_DOS`` takes the sets off every prediction before the planner sees it.
+        predictor: Predicts the road users; ``reset`` is called here.
+        arm: ``WITHOUT_DOS`` sets the semi-axes of every prediction to zero before it is planned.
         config: How the loop runs.
-        traffic: Who else is on the road; a replay of the recording by default.
+        traffic: Moves the other road users; a replay of the recording by default.
         on_failure: Called with what a plug-in raised, traceback and all.
 
     Returns:
@@ -105,7 +105,7 @@ def run_episode(
     world: World | None = None
     error: str | None = None
     try:
-        with _blame("traffic", traffic):
+        with _named_failure("traffic", traffic):
             world = World(scenario, traffic, history=config.history)
         end = _drive(world, planner, predictor, arm, config, log)
     except _PluginFailedError as failure:
@@ -117,7 +117,7 @@ def run_episode(
         start_step=scenario.task.start_step,
         states=scenario.task.start[None] if world is None else world.driven,
         inputs=np.empty((0, 2)) if world is None else world.inputs,
-        tracks=nobody(scenario.task.start_step + 1) if world is None else world.tracks,
+        tracks=empty_tracks(scenario.task.start_step + 1) if world is None else world.tracks,
         end=end,
         predict_seconds=np.array(log.predict_seconds),
         plan_seconds=np.array(log.plan_seconds),
@@ -139,7 +139,7 @@ def known_drive(scenario: Scenario, arm: Arm, start_step: int, states: FloatArra
         states: (K + 1, 5) ego states.
 
     Returns:
-        An episode without planning cycles and with zeros for the inputs, which nobody knows.
+        An episode without planning cycles and with zeros for the inputs, which are not known.
     """
     return Episode(
         scenario_id=scenario.id,
@@ -167,7 +167,7 @@ def _drive(
 ) -> EpisodeEnd:
     """Drives to the end; world and ``log`` stay right when a plug-in raises."""
     scenario, task = world.scenario, world.scenario.task
-    with _blame("predictor", predictor):
+    with _named_failure("predictor", predictor):
         if isinstance(predictor, OraclePredictor):
             if not world.traffic.as_recorded:
                 raise PluginError(
@@ -176,7 +176,7 @@ def _drive(
                 )
             predictor.reveal(scenario.tracks)
         predictor.reset(task, scenario.road_map)
-    with _blame("planner", planner):
+    with _named_failure("planner", planner):
         planner.reset(task, scenario.road_map, task.vehicle)
 
     pending: deque[FloatArray] = deque()
@@ -191,7 +191,7 @@ def _drive(
             wanted = min(config.replan_every, task.final_step - world.now)
             plan = _cycle(world.observation(), planner, predictor, arm, wanted, log)
             pending.extend(plan.inputs[:wanted])
-        with _blame("traffic", world.traffic):
+        with _named_failure("traffic", world.traffic):
             world.step(pending.popleft())
 
 
@@ -204,11 +204,11 @@ def _cycle(
     log: _Log,
 ) -> Plan:
     """One prediction and one plan with at least ``wanted`` inputs."""
-    with _blame("predictor", predictor):
+    with _named_failure("predictor", predictor):
         occupancy = predictor.predict(observation)
     if arm is Arm.WITHOUT_DOS:
         occupancy = occupancy.without_sets()
-    with _blame("planner", planner):
+    with _named_failure("planner", planner):
         plan = planner.plan(observation, occupancy)
         if len(plan.inputs) < wanted:
             raise PluginError(
@@ -224,8 +224,8 @@ def _cycle(
 
 
 @contextmanager
-def _blame(role: str, plugin: Planner | Predictor | Traffic) -> Iterator[None]:
-    """Turns whatever a plug-in raises into one line that names it and the place."""
+def _named_failure(role: str, plugin: Planner | Predictor | Traffic) -> Iterator[None]:
+    """Turns any exception of a plug-in into one line that names the plug-in and the place."""
     try:
         yield
     except (Exception, SystemExit) as error:

@@ -1,8 +1,8 @@
-"""Who else is on the road while the ego drives: a replay, or road users that react.
+"""The other road users while the ego drives: a replay, or road users that react.
 
-A traffic hands over the past when an episode begins, and at each step who is on the scene at that
-step. Nothing that lies ahead ever leaves it: what a planner or a predictor observes is made of what
-was handed over so far (``dosplan.simulation.world``).
+A traffic hands over the past when an episode begins, and at each step the road users at that step.
+It never hands over the future: what a planner or a predictor observes is made of what was handed
+over so far (``dosplan.simulation.world``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from dosplan.types.arrays import frozen
 
 @dataclass(frozen=True)
 class RoadUsers:
-    """Who is on the scene at one step.
+    """The road users on the scene at one step.
 
     Attributes:
         ids: (N,) ids, unique; a road user keeps its id, and an id that was not there before is a
@@ -71,7 +71,7 @@ class Traffic(ABC):
     Attributes:
         name: Name that goes into results; a changed behaviour is a new name.
         settings: The frozen dataclass of its options; the constructor takes an instance of it.
-        as_recorded: Whether everybody drives as recorded, whatever the ego does. The tracks of an
+        as_recorded: Whether all drive as recorded, whatever the ego does. The tracks of an
             episode are then those of the scenario, and only then may a predictor be shown them. A
             subclass does not inherit it, as it may depart from the recording.
     """
@@ -103,26 +103,26 @@ class Traffic(ABC):
             first_step: Step at which the ego starts.
 
         Returns:
-            Everyone who has been on the scene until then, at the steps 0 to ``first_step``.
+            All that have been on the scene until then, at the steps 0 to ``first_step``.
         """
 
     @abstractmethod
     def step(self, step: int, ego: FloatArray) -> RoadUsers:
-        """Moves everyone on by one step.
+        """Moves the road users on by one step.
 
         Args:
             step: The step that is reached: ``first_step + 1``, then one more in each call.
             ego: (K + 1, 5) ego states from its start to this step. Its last row is where the ego
-                is when everyone has moved; who decides at the same time as the ego does, and does
-                not foresee its move, knows the rows before.
+                is after this step. A road user that decides at the same time as the ego, and does
+                not know its move, may use the rows before only.
 
         Returns:
-            Who is on the scene at that step.
+            The road users on the scene at that step.
         """
 
 
 class Replay(Traffic):
-    """Everyone drives as recorded; nobody is on the scene once the recording has ended."""
+    """All drive as recorded; the scene is empty once the recording has ended."""
 
     name = "replay"
     as_recorded = True
@@ -135,7 +135,7 @@ class Replay(Traffic):
             settings: There are none.
         """
         super().__init__(seed=seed, settings=settings)
-        self._recording = nobody(0)
+        self._recording = empty_tracks(0)
 
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:
         """Begins an episode.
@@ -169,10 +169,10 @@ class Replay(Traffic):
 
         Args:
             step: The step that is reached.
-            ego: Not looked at.
+            ego: Not used.
 
         Returns:
-            Who is recorded at that step, in the recording's order.
+            The road users recorded at that step, in the recording's order.
         """
         tracks = self._recording
         if step >= tracks.steps:
@@ -189,7 +189,7 @@ class Replay(Traffic):
         )
 
 
-def nobody(steps: int) -> Tracks:
+def empty_tracks(steps: int) -> Tracks:
     """The tracks of an empty scene.
 
     Args:

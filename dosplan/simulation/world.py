@@ -1,7 +1,7 @@
-"""One scenario as it comes about step by step: the ego, and who else is on the road.
+"""The true state of one scenario, step by step: the ego and the other road users.
 
-The world is what is true. It hands out an ``Observation`` of the past and the present, and keeps
-what was driven: the ego's states and inputs, and the tracks of the road users.
+The world hands out an ``Observation`` of the past and the present, and keeps what was driven: the
+ego's states and inputs, and the tracks of the road users.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class World:
 
     Attributes:
         scenario: The scenario.
-        traffic: Who the road users are.
+        traffic: Moves the road users.
         start_step: Step of the first of ``driven``.
     """
 
@@ -47,7 +47,7 @@ class World:
 
         Args:
             scenario: The scenario.
-            traffic: Who the road users are; a replay of the recording by default.
+            traffic: Moves the road users; a replay of the recording by default.
             first_step: Step at which the ego is at its start; that of the task by default.
             history: Steps H that an observation shows, the present one included.
         """
@@ -86,7 +86,7 @@ class World:
     def tracks(self) -> Tracks:
         """The road users as they were driven, at the steps 0 to now.
 
-        Where everybody drives as recorded, the recording, which may go on beyond now.
+        Where all drive as recorded, this is the recording, which may go on beyond now.
         """
         return self.scenario.tracks if self.traffic.as_recorded else self._others.tracks(self.now)
 
@@ -134,9 +134,9 @@ class World:
         self._inputs.append(applied)
 
     def wait(self) -> None:
-        """Lets one step pass in which the ego stays where it is, as if it had just come there.
+        """Lets one step pass in which the ego stays where it is, with no other history.
 
-        For those who look at the road users alone.
+        For uses in which only the road users matter.
 
         Raises:
             PluginError: The traffic broke its contract.
@@ -149,7 +149,7 @@ class World:
 def watch(scenario: Scenario, every: int, history: int = HISTORY_STEPS) -> Iterator[Observation]:
     """Walks through a recording, from step 0 to its end.
 
-    The ego is at its start all the while: it is not what is looked at.
+    The ego stays at its start: only the road users matter.
 
     Args:
         scenario: The recording.
@@ -189,7 +189,7 @@ class _Others:
         self._present = np.flatnonzero(past.valid[:, -1])
 
     def add(self, step: int, users: RoadUsers) -> None:
-        """Takes over who is on the scene at a step."""
+        """Adds the road users on the scene at a step."""
         if not isinstance(users, RoadUsers):
             raise PluginError(f"step returned {type(users).__name__}, not RoadUsers")
         ids = users.ids.tolist()
@@ -216,7 +216,7 @@ class _Others:
     def seen(
         self, step: int, history: int
     ) -> tuple[IntArray, tuple[RoadUserKind, ...], FloatArray, FloatArray, npt.NDArray[np.bool_]]:
-        """Who is on the scene now, with the last steps of each: the fields of an observation."""
+        """The road users on the scene now, with their last steps: the fields of an observation."""
         rows = self._present
         first = max(step - history + 1, 0)
         begin = history - (step + 1 - first)
@@ -227,7 +227,7 @@ class _Others:
         return self._ids[rows], tuple(self._kinds[i] for i in rows), self._size[rows], states, valid
 
     def tracks(self, last: int) -> Tracks:
-        """Everyone at the steps 0 to ``last``."""
+        """All road users at the steps 0 to ``last``."""
         return Tracks(
             ids=self._ids,
             kinds=tuple(self._kinds),

@@ -1,1 +1,1 @@
-"""Files, processes, versions and errors: what has nothing to do with driving."""
+"""Files, processes, versions and errors: all that is not about driving."""

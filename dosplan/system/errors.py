@@ -1,4 +1,4 @@
-"""One root for the errors that a user can mend, and how any exception is told in one line."""
+"""The base class of errors that a user can correct, and exceptions written in one line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LONGEST_LINE: Final = 1000
 
 
 class DosplanError(Exception):
-    """Something that whoever called can mend; the message is one line that says what and how.
+    """An error that the caller can correct; the message is one line that says what and how.
 
     The command line prints it and exits with code 2.
     """
@@ -31,7 +31,7 @@ def one_line(error: BaseException) -> str:
     """
     try:
         text = f"{type(error).__name__}: {error}"
-    except Exception:  # Not even its message can be had.
+    except Exception:  # Its own __str__ raises.
         text = f"{type(error).__name__} without a message"
     line = " ".join(text.split())
     return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
@@ -57,11 +57,11 @@ def failure_place(error: BaseException, plugin: object) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str], count: int = 1) -> str:
-    """Names what somebody may have meant who named what is not there.
+    """Suggests existing names for one that does not exist.
 
     Args:
-        name: What was named.
-        known: What there is.
+        name: The name that was given.
+        known: The names that exist.
         count: How many to name at most.
 
     Returns:

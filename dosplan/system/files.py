@@ -1,4 +1,4 @@
-"""Writing files so that a reader never meets half of one."""
+"""Writes files so that a reader never sees an incomplete one."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
     Raises:
         FileError: It cannot be written (no room, no permission, ...).
     """
-    # The process id keeps two runs that write to one folder by mistake off each other's toes.
+    # With the process id, two runs that write to one folder by mistake do not use one file.
     temporary = path.with_name(f".{path.name}.{os.getpid()}{_HALF}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -70,10 +70,10 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
 
 
 def remove_half_written(folder: Path, name: str = "*") -> None:
-    """Removes what writers that were killed left behind.
+    """Removes the incomplete files of writers that were killed.
 
     Args:
-        folder: The folder; nobody may be writing to it.
+        folder: The folder; no process may be writing to it.
         name: Pattern of the files that were to be written.
     """
     for path in folder.glob(f".{name}.*{_HALF}"):

@@ -1,4 +1,4 @@
-"""Where dosplan keeps what it can make again."""
+"""Where dosplan keeps its cache."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Locks between processes, which the system takes back however their holder ends."""
+"""Locks between processes, which the system releases however their holder ends."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Final
 
 from filelock import lock_descriptor
 
-# Nobody's link is followed; where there are no such links, the flag is not there either.
+# Symbolic links are not followed; a system without such links has no such flag.
 _OPEN: Final = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -23,8 +23,8 @@ def exclusive(path: Path) -> Iterator[bool]:
             killed process left behind is no obstacle.
 
     Yields:
-        Whether nobody else holds the lock. Where the file system knows no locks, or the file
-        cannot be made, there is nobody to be found and this is True.
+        Whether no other process holds the lock. True as well where the file system has no locks
+        or the file cannot be made.
     """
     try:
         file = _locked(path)
@@ -37,7 +37,7 @@ def exclusive(path: Path) -> Iterator[bool]:
     try:
         yield True
     finally:
-        # Before it is closed, so that nobody can have locked the file that is removed.
+        # Before it is closed, so that no other process can have locked the removed file.
         with suppress(OSError):  # Windows removes no file that is open.
             path.unlink()
         os.close(file)

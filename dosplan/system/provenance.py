@@ -1,4 +1,4 @@
-"""Where figures come from: revision, versions and machine, for ``run.json``."""
+"""Provenance of results: revision, versions and machine, for ``run.json``."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def content_digest(paths: Iterable[Path]) -> str:
     total = sha256()
     for path in paths:
         try:
-            if not path.is_file():  # A pipe or a device could keep us waiting for ever.
+            if not path.is_file():  # Reading a pipe or a device might never return.
                 raise FileNotFoundError(path)
             with path.open("rb") as file:
                 digest = file_digest(file, "sha256").hexdigest()

@@ -1,4 +1,4 @@
-"""JSON to dataclasses and back: types are checked, and what does not fit is told in one line."""
+"""JSON to dataclasses and back: types are checked, and a mismatch gives one line."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def typed(value: Any, kind: type[T]) -> T:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
         message, _, place = str(error).rpartition(_PLACE)
-        told = f"{place.strip('.`')}: {message}" if message else str(error)
-        raise ValueError(f"{' '.join(told.split()):.{_LONGEST}}") from None
+        line = f"{place.strip('.`')}: {message}" if message else str(error)
+        raise ValueError(f"{' '.join(line.split()):.{_LONGEST}}") from None
 
 
 def plain(value: Any) -> Any:

@@ -1,6 +1,6 @@
-"""Worker processes in which a result cannot depend on how many of them there are.
+"""Worker processes whose results do not depend on their number.
 
-Each is spawned, so that it inherits nothing by chance; numerical libraries get one thread, and the
+Each is spawned, so that it inherits no state; numerical libraries get one thread, and the
 order of sets of strings is fixed. A worker ends with the process that started it.
 """
 
@@ -100,9 +100,9 @@ def environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 def prepare_worker() -> None:
-    """Sets a worker apart; runs in it first.
+    """Prepares a worker process; runs in it first.
 
-    Its prints are kept out of the figures on stdout. It leads a process group of its own, so that
+    What it prints does not go to stdout. It leads a process group of its own, so that
     what a plug-in starts can be ended with it, and it ends with the process that started it.
     """
     if hasattr(os, "setpgrp"):

@@ -1,7 +1,7 @@
-"""YAML that somebody wrote: plain values out, or one line that says why not.
+"""Reads YAML of users: plain values, or one line that says why not.
 
-Aliases are refused: a few lines of them stand for more values than any memory holds. So is deep
-nesting, which those who go through the values could not follow.
+Aliases are refused: a few lines of them can expand to more values than memory holds. So is deep
+nesting, which recursive code cannot handle.
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ def parse_yaml(text: str) -> Any:
     """
     try:
         return yaml.load(text, _Loader)  # noqa: S506 - a safe loader, and stricter
-    # Beside its own errors, PyYAML raises whatever it stumbles over in a value that is not what
-    # its tag says.
+    # Beside its own errors, PyYAML can raise others where a value does not fit its tag.
     except Exception as error:
         reason = str(error) if isinstance(error, yaml.YAMLError | ValueError) else repr(error)
         raise YamlError(f"is not YAML: {' '.join(reason.split())}") from None

@@ -11,8 +11,8 @@ Conventions shared by every type:
   kinematic single track: x and y are those of the **rear axle**. ``dosplan.vehicle`` turns
   it into the centre of the ego's rectangle.
 * A *road-user state* is a row ``(x, y, heading, velocity)`` of the shape's **centre**.
-* Arrays are stored as read-only copies: nobody can change what was handed over, neither who
-  made it nor who got it.
+* Arrays are stored as read-only copies: a value cannot change once it is made, not even by the code
+  that made it.
 """
 
 from dosplan.types.arrays import (

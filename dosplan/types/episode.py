@@ -79,12 +79,12 @@ class Episode:
 
     @property
     def reports(self) -> tuple[SolveReport, ...]:
-        """What was said of each of the C plans."""
+        """The reports of the C plans."""
         return tuple(plan.report for plan in self.plans)
 
 
 class DrivenEpisode(Protocol):
-    """What a score follows from, but for the road users: an ``Episode``, or what its file keeps.
+    """What a score is computed from, besides the road users: an ``Episode`` or its file's content.
 
     The attributes are those of ``Episode``.
     """
@@ -131,4 +131,4 @@ class DrivenEpisode(Protocol):
 
     @property
     def reports(self) -> Sequence[SolveReport]:
-        """What was said of each of the C plans."""
+        """The reports of the C plans."""

@@ -1,4 +1,4 @@
-"""What one planning cycle hands on: what is known, what is predicted and what is planned."""
+"""The values of one planning cycle: observation, prediction and plan."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from dosplan.types.arrays import (
 )
 from dosplan.types.scenario import PlanningTask, RoadMap, RoadUserKind
 
-HISTORY_STEPS: Final = 31  # Steps that a predictor is shown, the present one included: 3 s.
+HISTORY_STEPS: Final = 31  # Steps of the past that a predictor sees, the present one included: 3 s.
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class Occupancy:
 
 
 class SolveStatus(Enum):
-    """How a plan came about, with what a reader can do about it.
+    """How a plan was found, with advice for the user.
 
     The value is the word that is stored in results; ``advice`` says what to do.
     """
@@ -204,7 +204,7 @@ class SolveStatus(Enum):
 
     @property
     def failed(self) -> bool:
-        """Whether the solver was asked for a plan and gave none."""
+        """Whether the solver failed to give a plan."""
         return self in (SolveStatus.MAX_ITERATIONS, SolveStatus.SOLVER_ERROR)
 
 
@@ -227,7 +227,7 @@ class SolveReport:
         slack: Largest slack of a set constraint in the plan, in normalised set distance.
         active_ids: Ids of the road users whose sets touch the plan.
         fallback: Name of the fallback that was driven, or None.
-        road_slack: How far the plan leaves the road, by the planner's own reckoning, m.
+        road_slack: How far the plan leaves the road, as the planner itself computes it, m.
     """
 
     status: SolveStatus = SolveStatus.NOT_OPTIMISED

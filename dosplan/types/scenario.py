@@ -57,7 +57,7 @@ class Lanelet:
         right_neighbour: The same on the right.
         speed_limit: m/s, or None where the map names none.
         for_cars: Whether a route may use it; False for footways, bicycle lanes and bus lanes,
-            which are linked to none that is for cars.
+            which have no links to lanelets for cars.
         is_road: Whether it is carriageway, on which a car is not off the road; a bus lane is, a
             footway, a bicycle lane and a pedestrian crossing are not.
     """
@@ -91,8 +91,8 @@ class RoadMap:
         lanelets: Every lanelet of the map.
         drivable: Union of the lanelets that are road, a polygon or several, m; the ego's rectangle
             must stay inside it. CommonRoad's own drivability checker takes **all** lanelets, so
-            that a car on a footway is on the road there; here it is off it. What a crossing
-            covers of a lane is road by that lane.
+            that a car on a footway is on the road there; here it is off it. A crossing
+            on a lane is road, as the lane is.
         open_ends: What lies beyond the ends of the map where a road is cut off, a car's length of
             it, m. No edge of the road is there, so the ego may hang over the end; CommonRoad's
             checker counts that as off the road.
@@ -124,7 +124,7 @@ class RoadMap:
 class Tracks:
     """Road users over many steps, as they were recorded, or as they were driven in an episode.
 
-    Only the simulation and who looks back on an episode may hold it, as it tells the future.
+    It holds the future: only the simulation and the analysis of a finished episode may use it.
 
     Attributes:
         ids: (N,) ids of the road users, unique.
@@ -173,8 +173,8 @@ class GoalState:
     Attributes:
         first_step: First step at which the goal counts.
         last_step: Last step at which the goal counts.
-        region: Polygon, or several, in which the ego's **centre** must be, m; None where any
-            place will do.
+        region: Polygon, or several, in which the ego's **centre** must be, m; None where the
+            goal sets no place.
         heading: Lower and upper heading, rad, or None.
         velocity: Lower and upper velocity, m/s, or None.
     """
@@ -274,8 +274,7 @@ class Scenario:
         tracks: The recording, future included.
         task: Start, goal and route of the ego.
         tags: The file's tags (``simulated``, ``highway``, ...).
-        notes: What of the file could not be taken as it is, and was left out or put right; a line
-            each.
+        notes: Parts of the file that were left out or corrected; a line each.
     """
 
     id: str
@@ -290,7 +289,7 @@ class Scenario:
 
 
 def place_of(scenario_id: str) -> str:
-    """Names the place that a scenario is of, as its id tells.
+    """Names the place of a scenario, by its id.
 
     Args:
         scenario_id: Id, such as ``USA_Lanker-2_25_T-1``.

@@ -1,4 +1,4 @@
-"""How one closed-loop run is judged: its outcome and metrics."""
+"""The score of one episode: its outcome and metrics."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Measure = float | int | bool | None
 
 
 class Outcome(StrEnum):
-    """What became of an episode: the first that applies, in this order."""
+    """Outcome of an episode: the first that applies, in this order."""
 
     COLLISION = "collision"
     OUT_OF_BOUNDS = "out_of_bounds"
@@ -42,9 +42,9 @@ class Score:
     Attributes:
         scenario: Id of the scenario.
         arm: The arm.
-        outcome: What became of the episode.
+        outcome: Outcome of the episode.
         safe: Driven to the end without collision and within bounds (the paper's success).
-        at_fault: Whether the ego is to blame for a collision; False without one.
+        at_fault: Whether the ego is at fault in a collision; False without one.
         collision_class: Class of the first collision, or None.
         collision_with: Id of the road user of the first collision, or None.
         collision_step: Step of the first contact, or None.
@@ -58,7 +58,7 @@ class Score:
         max_abs_lateral_acceleration: Largest |lateral acceleration|, m/s2.
         max_abs_jerk: Largest |longitudinal jerk|, m/s3.
         min_time_to_collision: Smallest time to collision under constant velocities, s;
-            None where none is below the horizon that is looked at.
+            None where none is below the horizon.
         cycle_ms_p50: Median time of a full cycle (predict and plan), ms.
         cycle_ms_p99: 99th percentile of it, ms.
         fallback_cycles: Cycles in which a fallback was driven.

@@ -106,7 +106,7 @@ class VehicleParameters:
         return self.max_acceleration * self.switching_velocity
 
     def engine_acceleration(self, velocity: FloatArray) -> FloatArray:
-        """Largest acceleration that the engine is good for.
+        """Largest acceleration that the engine can give.
 
         Args:
             velocity: (...) m/s.
@@ -146,7 +146,7 @@ class VehicleParameters:
             dt: Time for which an input is held, s.
 
         Returns:
-            (..., 2) inputs; many at once are those of one by one to the last bit.
+            (..., 2) inputs, the same to the last bit for states one by one and many at once.
         """
         # [()] makes a single state's values plain numbers, which are quicker than arrays of one.
         steering, velocity = states[..., EGO_STEERING][()], states[..., EGO_VELOCITY][()]

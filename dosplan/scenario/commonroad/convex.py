@@ -12,13 +12,13 @@ from dosplan.geometry import areas, rectangle_corners
 from dosplan.types import FloatArray
 
 DEPTH: Final = 0.01
-"""Depth of a bay, m, that is overlooked, and width of a piece, m, that is left out."""
+"""Depth of a notch, m, that is ignored, and width of a piece, m, that is left out."""
 MAX_NOTCHES: Final = 24
 """Corners that point inwards up to which a shape is cut along its own edges."""
 
 
 def is_convex(shape: shapely.Geometry) -> bool:
-    """Whether a shape fills its convex hull but for bays of ``DEPTH``.
+    """Whether a shape fills its convex hull except for notches of ``DEPTH``.
 
     Args:
         shape: A polygon or several.

@@ -1,7 +1,7 @@
-"""Scenario files as text, and the checks that they are what they claim to be.
+"""Scenario files as text, and the checks on them before they are read.
 
-A file comes from anywhere, so nothing of it is trusted: document types and entities are refused,
-and so are files that are something else.
+Files are not trusted: document types and entities are refused, and so are files that are something
+else.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def read_file(path: Path) -> bytes:
         ScenarioError: It cannot be read or is larger than ``MAX_BYTES``.
     """
     try:
-        if path.exists() and not path.is_file():  # A pipe could keep us waiting for ever.
+        if path.exists() and not path.is_file():  # Reading a pipe might never return.
             raise ScenarioError(path, "is not a regular file; remove it")
         with path.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
@@ -213,7 +213,7 @@ def read_document(path: Path, content: bytes) -> Document:
 
 
 def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
-    """Parses foreign XML safely.
+    """Parses XML of unknown origin safely.
 
     Args:
         path: The file, for messages.
@@ -226,7 +226,7 @@ def parse_xml(path: Path, data: bytes) -> ElementTree.Element:
         ScenarioError: It is no XML, or has a document type.
     """
     _parse(path, lambda: _refuse_doctype(data))
-    # Safe on foreign text: what the known attacks need has just been refused.
+    # Safe: what the known attacks need has just been refused.
     root: ElementTree.Element = _parse(path, lambda: ElementTree.fromstring(data))  # noqa: S314
     return root
 
@@ -264,7 +264,7 @@ def _parse(path: Path, parse: Callable[[], Any]) -> Any:
 
 
 def _objection(root: ElementTree.Element) -> str | None:
-    """What speaks against using the file, or None."""
+    """Why the file cannot be used, or None."""
     version = root.get("commonRoadVersion")
     checks = (
         (root.tag != "commonRoad", f"is a <{root.tag}>, not a CommonRoad scenario"),

@@ -13,21 +13,21 @@ from dosplan.types import FloatArray
 
 AUTHOR = "The dosplan developers"
 DATE = "2026-11-01"
-"""The same in every file: the day on which it was made must not change its bytes."""
+"""The same in every file, so that its bytes do not depend on the day on which it was made."""
 
 
 @dataclass
 class LaneletDraft:
-    """A lanelet in the making.
+    """A lanelet to be written.
 
     Attributes:
         id: CommonRoad id.
         left: (P, 2) m.
         right: (P, 2) m.
         kind: CommonRoad lanelet type.
-        users: Who drives here one way.
+        users: CommonRoad types of the road users that drive here in the lanelet's direction.
         speed: Limit, m/s, or None.
-        both_ways: Who uses it in both directions.
+        both_ways: Types of the road users that use it in both directions.
         successors: Ids.
         predecessors: Ids.
         adjacent_left: Id and whether it has the same direction, or None.
@@ -136,7 +136,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class ProblemDraft:
-    """A planning problem that follows from a drive.
+    """A planning problem made from a drive.
 
     Attributes:
         drive: (K, 4) centre x, y, heading and velocity from the ego's start to its arrival.
@@ -155,7 +155,7 @@ class ProblemDraft:
 
 @dataclass(frozen=True)
 class Header:
-    """What a file says of itself.
+    """The metadata of a file.
 
     Attributes:
         benchmark_id: CommonRoad id.

@@ -1,7 +1,7 @@
-"""Reads the values of a scenario file's elements, and says of each that cannot be read what it is.
+"""Reads the values of a scenario file's elements, and names each one that cannot be read.
 
-Whoever reads a part names it (``naming``), so that a message leads from the part that a user knows
-to the value at fault: ``obstacle 7: state 12: the <velocity> is 'fast', no number; correct it``.
+Code that reads a part names it (``naming``), so that a message leads from the part that a user
+knows to the wrong value: ``obstacle 7: state 12: the <velocity> is 'fast', no number; correct it``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _NAMES: Final = {
 
 
 class FaultError(DosplanError, ValueError):
-    """What is wrong with a part of a scenario file; whoever knows the file adds its name."""
+    """What is wrong with a part of a scenario file; the code that knows the file adds its name."""
 
 
 @contextmanager
@@ -56,7 +56,7 @@ def quoted(text: str | None) -> str:
 
 
 def label(element: Element) -> str:
-    """What a user calls an element that has an id: ``obstacle 7``."""
+    """How messages call an element that has an id: ``obstacle 7``."""
     return f"{_NAMES.get(element.tag, element.tag)} {element.get('id')}"
 
 
@@ -263,7 +263,7 @@ def points(element: Element) -> FloatArray:
     """
     listed = element.findall("point")
     try:
-        # Nearly all of a map is points: all at once, and one by one only to name the bad one.
+        # A map is mostly points: they are read all at once, and one by one only to name a bad one.
         found = np.array([(float(p.find("x").text), float(p.find("y").text)) for p in listed])  # type: ignore[union-attr,arg-type]
         if len(found) and np.abs(found).max() <= MAX_NUMBER:
             return found

@@ -65,13 +65,13 @@ MAX_STATES: Final = 10_000_000
 MAX_SIZE: Final = 10_000.0
 """Largest length and width of a road user, m."""
 _MOVED: Final = 0.05
-"""Distance, m, below which a displacement says nothing about the heading."""
+"""Distance, m, below which a displacement gives no heading."""
 
 
 STANDING: Final = 0.1
 """Speed, m/s, up to which a road user without a trajectory is taken to stand."""
 _ALIKE: Final = 1e-3
-"""Difference, m, rad and m/s, up to which two states of one step are one."""
+"""Difference, m, rad and m/s, up to which two states of one step count as the same."""
 STEPS: Final = (1e-3, 10.0)
 """Shortest and longest step that a file may have, s."""
 
@@ -81,8 +81,7 @@ class Resampling:
     """How the steps of a file become steps of 0.1 s: ``times`` new for ``every`` old.
 
     Both kinds of step are whole numbers of ticks: an old one of ``times``, a new one of ``every``.
-    A new step that lies on an old one is that; one between two lies a share of the way between
-    them.
+    A new step at the time of an old one has its state; one between two is interpolated.
 
     Attributes:
         times: Ticks of an old step.
@@ -212,8 +211,8 @@ def read_tracks(
     together. The first has its id, the others ids that nothing in the file has.
 
     One without a trajectory that stands stays where it is. One that moves has left the scene after
-    its only state, unless nobody in the file has a trajectory: then the file is one of interactive
-    traffic, in which a simulator moves the road users, and cannot be replayed.
+    its only state, unless no road user in the file has a trajectory: then the traffic is
+    interactive, that is, a simulator moves the road users, and the file cannot be replayed.
 
     Args:
         root: The file's root element.
@@ -222,7 +221,7 @@ def read_tracks(
         road: Where cars drive, m.
 
     Returns:
-        The tracks, and what was put right, a line each. A static obstacle is there at every step,
+        The tracks, and what was corrected, a line each. A static obstacle is there at every step,
         at rest.
 
     Raises:
@@ -273,7 +272,7 @@ def _listed(root: Element) -> tuple[list[Element], list[Element]]:
 
 
 def _interactive(dynamic: Sequence[Element]) -> str | None:
-    """What moves in a file in which nobody has a trajectory; None in any other."""
+    """What moves in a file in which no road user has a trajectory; None in any other."""
     if any(element.find("trajectory/state") is not None for element in dynamic):
         return None
     for element in dynamic:

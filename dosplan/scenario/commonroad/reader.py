@@ -62,13 +62,13 @@ _MIN_STEERING_SPEED: Final = 1.0
 _ALONG_ROUTE: Final = 0.87  # Cosine of the largest angle to the route at which it is followed.
 
 
-def read_scenario(ref: ScenarioRef, content: bytes, *, onlooker: bool = False) -> Scenario:
+def read_scenario(ref: ScenarioRef, content: bytes, *, ego_optional: bool = False) -> Scenario:
     """Makes one episode of a file's content.
 
     Args:
         ref: The episode; an empty ``id`` stands for the one the file gives it.
         content: What its file holds, compressed or not.
-        onlooker: Whether a file without a planning problem is given an ego that looks on.
+        ego_optional: Whether a file without a planning problem is given a standing ego.
 
     Returns:
         The scenario.
@@ -78,7 +78,7 @@ def read_scenario(ref: ScenarioRef, content: bytes, *, onlooker: bool = False) -
     """
     document = read_document(ref.path, content)
     try:
-        return _scenario(document, ref, onlooker)
+        return _scenario(document, ref, ego_optional)
     except FaultError as error:
         raise ScenarioError(ref.path, str(error)) from None
     except (ValueError, ArithmeticError, LookupError, shapely.GEOSException) as error:
@@ -108,7 +108,7 @@ class _Problem:
     goals: tuple[GoalState, ...]
 
 
-def _scenario(document: Document, ref: ScenarioRef, onlooker: bool) -> Scenario:
+def _scenario(document: Document, ref: ScenarioRef, ego_optional: bool) -> Scenario:
     root = document.root
     benchmark_id = root.get("benchmarkID", "")
     dt = number(root.get("timeStepSize"), "its timeStepSize")
@@ -116,8 +116,8 @@ def _scenario(document: Document, ref: ScenarioRef, onlooker: bool) -> Scenario:
     read = read_road_map(root)
     vehicle = VehicleParameters()
     elements = root.findall("planningProblem")
-    if not elements and onlooker:
-        problem = _onlooker(root, read.road_map.lanelets[0], resampling, vehicle)
+    if not elements and ego_optional:
+        problem = _standing_ego(root, read.road_map.lanelets[0], resampling, vehicle)
     else:
         element = _chosen(ref, elements)
         with naming(label(element)):
@@ -179,7 +179,7 @@ def _tags(root: Element) -> frozenset[str]:
     )
 
 
-def _onlooker(
+def _standing_ego(
     root: Element, lanelet: Lanelet, resampling: Resampling, vehicle: VehicleParameters
 ) -> _Problem:
     """The problem of an ego that stands where the map's first lanelet begins, to the very end."""

@@ -31,9 +31,9 @@ SEAM: Final = 0.1
 """Half the width of the gaps between lanelets that count as road, m.
 
 Neighbouring lanelets of recorded maps do not share their bounds exactly, and where several meet
-they leave slivers open. Of the published solutions (71 looked at), 13 leave the plain union of
+there are narrow gaps. Of the published solutions (71 looked at), 13 leave the plain union of
 lanelets and none the union with gaps of up to 0.04 m closed. A gap of 0.2 m is narrower than a
-car's tyre: none that narrow is an edge of the road that a car could drive off.
+car's tyre, so it is no edge of the road.
 """
 OPEN_END: Final = 5.0
 """Length of road that is taken to go on beyond an open end of the map, m: about a car's."""
@@ -68,12 +68,12 @@ _SPEED: Final = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:e[+-]?\d+)?)\s*([a-
 
 @dataclass(frozen=True)
 class MapReading:
-    """What a file says of the road.
+    """The road of a file.
 
     Attributes:
         road_map: The map.
         two_way: Ids of the lanelets that may be driven in both directions.
-        notes: What was left out or put right, a line each.
+        notes: What was left out or corrected, a line each.
     """
 
     road_map: RoadMap
@@ -214,8 +214,8 @@ def _lanelet(
         left, right = turned
     signs = [sign.get("ref") for sign in element.iterfind("trafficSignRef")]
     own = [limits[sign] for sign in signs if sign in limits]
-    told = element.find("speedLimit")
-    if told is not None and (limit := _speed(told.text, f"lanelet {name}", notes)) is not None:
+    given = element.find("speedLimit")
+    if given is not None and (limit := _speed(given.text, f"lanelet {name}", notes)) is not None:
         own.append(limit)
     return Lanelet(
         id=name,
@@ -375,17 +375,17 @@ def _speed_limits(root: Element, notes: list[str]) -> dict[str | None, float]:
 def _sign_limit(element: Element, name: str, notes: list[str]) -> float | None:
     """The limit of one element of a traffic sign, m/s; None where it sets none."""
     kind, _, variant = (element.findtext("trafficSignID") or "").strip().partition("-")
-    told = element.find("additionalValue")
+    given = element.find("additionalValue")
     if kind == ZONE_SIGN:
         usual = f"{variant or 30} km/h"
-        return _speed(usual if told is None else told.text, name, notes)
+        return _speed(usual if given is None else given.text, name, notes)
     whole_id = (element.findtext("trafficSignID") or "").strip()
     if whole_id not in SPEED_LIMIT_SIGNS and kind not in SPEED_LIMIT_SIGNS:
         return None
-    if told is None:
+    if given is None:
         notes.append(f"{name}: it names no speed; no limit is taken from it")
         return None
-    return _speed(told.text, name, notes)
+    return _speed(given.text, name, notes)
 
 
 def _speed(text: str | None, name: str, notes: list[str]) -> float | None:

@@ -22,7 +22,7 @@ from dosplan.types import FloatArray
 CIRCLE_VERTICES: Final = 32
 SHAPES: Final = ("rectangle", "circle", "polygon")
 _OVERHANG: Final = 0.5
-"""Width, m, of road that a rectangle may close where its body does not."""
+"""Width, m, of road that a rectangle may block where its body does not."""
 _CUTS: Final = 5
 """How often a body is cut in two at most."""
 
@@ -131,7 +131,7 @@ def bodies(parts: list[Part], *, fixed: bool) -> list[Body]:
     """The bodies that together are what a road user's shapes cover.
 
     One rectangle stays one, wherever it is and however it is turned. Shapes that are convex
-    together become one body. All others are cut into convex bodies, so that what lies in a bay or
+    together become one body. All others are cut into convex bodies, so that the space in a notch or
     between two pillars stays free.
 
     Args:
@@ -158,7 +158,7 @@ def bodies(parts: list[Part], *, fixed: bool) -> list[Body]:
 
 
 def fitted(body: Body, place: FloatArray, road: shapely.Geometry) -> list[Body]:
-    """Fits the rectangle around a fixed body so that it closes no road that the body leaves open.
+    """Fits the rectangle around a fixed body so that it blocks no road that the body leaves open.
 
     Planners keep clear of rectangles; one around a slanted wall may lie on the road beside it.
     Where no rectangle along an edge does better, the body is cut in two, and so on.
@@ -189,7 +189,7 @@ def _fitted(
 
 
 def _closed(body: Body, place: FloatArray, road: shapely.Geometry) -> shapely.Geometry:
-    """The road that the rectangle of a body closes and the body does not."""
+    """The road that the rectangle of a body blocks and the body does not."""
     if body.outline is None:
         return shapely.Polygon()
     pose = moved(body.pose, place[None])[0]

@@ -31,7 +31,7 @@ def scenario_xml(
     """A CommonRoad file.
 
     Args:
-        header: What it says of itself.
+        header: Its metadata.
         lanelet_map: The map.
         users: The road users.
         problem: The planning problem; None for a recording without one, which CommonRoad's

@@ -1,4 +1,4 @@
-"""The free road beside a path: drivable, and not only for those who come the other way."""
+"""The free road beside a path: drivable, less the lanes of oncoming traffic."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class Corridor:
         return np.where(self._inside(points), distance, -distance)
 
     def bounds(self, path: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Lateral offsets at which a walk sideways from the path first leaves the corridor.
+        """Lateral offsets at which the normals of the path first leave the corridor.
 
         Each normal is intersected with the segments of the corridor's boundary; a corner of the
         boundary that lies between two normals bounds the one it is nearest to.
@@ -128,7 +128,7 @@ class Corridor:
         corners, point = corners[near], point[near]
         away = corners - path[point]
         across = np.sum(away * normal[point], axis=1)
-        # What is nearest to an end of the path may lie beyond it.
+        # A corner that is nearest to an end of the path may lie beyond it.
         spacing = np.hypot(*np.diff(path, axis=0).T).max()
         beside = np.abs(_cross(normal[point], away)) <= spacing
         return point[beside], across[beside]
@@ -163,8 +163,8 @@ def _cells(
 ) -> tuple[FloatArray, FloatArray]:
     """Cells of the lanelets near the path, as polygons: those along it and those against it.
 
-    A cell is judged by the path's direction at the point nearest to it, so that a lane that
-    bends is against the path only where it runs so.
+    A cell is compared with the path's direction at the point nearest to it, so that a bending lane
+    is against the path only where its direction is.
     """
     chosen = [lanelet for lanelet in road_map.lanelets if lanelet.id in set(near)]
     if not chosen:

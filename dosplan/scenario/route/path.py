@@ -1,4 +1,4 @@
-"""The reference path: centre lines joined, lane changes blended, everything smooth."""
+"""The reference path: centre lines, joined, blended at lane changes, and smoothed."""
 
 from __future__ import annotations
 

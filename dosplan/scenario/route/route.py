@@ -19,14 +19,14 @@ from dosplan.types import FloatArray, GoalState, Lanelet, RoadMap, Route
 from dosplan.vehicle import VehicleParameters
 
 CHANGE_COST: Final = 12.0
-"""What a lane change costs beside the metres driven, m."""
+"""Cost of a lane change in addition to the metres driven, m."""
 HORIZON: Final = 60.0
 """Length of path beyond what the episode can drive, for planning ahead, m."""
 _CRUISE: Final = 15.0
 _START_RADIUS: Final = 3.0
 _WRONG_WAY: Final = 1.2
 _MOST_LANELETS: Final = 1000
-"""Lanelets of a route from which on no ring is driven again."""
+"""Number of lanelets of a route from which on a ring of lanelets is not driven again."""
 _START: Final = "start"
 _GOAL: Final = "goal"
 
@@ -207,7 +207,7 @@ def build_route(
 
 
 def _starts(lanes: LaneGraph, point: Point, heading: float) -> list[tuple[float, int, float]]:
-    """Lanelets on which the ego may be said to stand: cost, id and arc length there.
+    """Lanelets on which the ego may be: cost, id and arc length there.
 
     Those that run against the ego's heading count only where there is no other.
     """

@@ -3,10 +3,10 @@
 The folder is named by the archive's content, so that a run that is resumed, its workers and the
 next run find the same files; on a cluster, the cache has to be on a file system that all see.
 
-An archive comes from anywhere, so nothing of it is trusted: only regular files with the ending of
-a scenario are written, each inside the folder, and no more than ``MAX_UNPACKED`` bytes of them.
-What breaks one of these rules is refused as a whole, before anybody reads it. A member of a
-``.zip`` that is damaged becomes an empty file, and so a row that fails like any broken file.
+Archives are not trusted: only regular files with the ending of a scenario are written, each inside
+the folder, and no more than ``MAX_UNPACKED`` bytes of them. An archive that breaks one of these
+rules is refused as a whole, before any of it is read. A member of a ``.zip`` that is damaged
+becomes an empty file, and so a row that fails like any broken file.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def unpacked(archive: Path) -> Path:
         _prune(place.parent)
     except ScenarioError:
         raise
-    # Libraries answer damage with whatever they stumble over.
+    # On a damaged archive, the libraries can raise almost anything.
     except (tarfile.TarError, *_DAMAGED, ValueError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
         raise ScenarioError(
@@ -125,11 +125,11 @@ def _unpack(archive: Path, stream: IO[bytes], place: Path) -> None:
         members = _tar(stream) if archive.name.lower().endswith(_TAR) else _zip(archive, stream)
         sizes = _write(archive, members, folder)
         (folder / _LISTING).write_text(json.dumps(sizes))
-        folder.chmod(0o755)  # For the workers of a cluster that run as somebody else.
+        folder.chmod(0o755)  # For the workers of a cluster that run as another user.
         try:
             folder.rename(place)
         except OSError:
-            if not _whole(place):  # Somebody else has just unpacked it, too.
+            if not _whole(place):  # Another process has just unpacked it, too.
                 raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -205,6 +205,6 @@ def _whole(folder: Path) -> bool:
 
 def _prune(folder: Path) -> None:
     for place in folder.iterdir():
-        with suppress(FileNotFoundError):  # Somebody else does the same.
+        with suppress(FileNotFoundError):  # Another process does the same.
             if place.stat().st_mtime < time.time() - KEPT_SECONDS:
                 shutil.rmtree(place, ignore_errors=True)

@@ -158,7 +158,7 @@ def _episodes(found: list[Candidate]) -> list[ScenarioRef]:
     for candidate, refs in each:
         for ref in refs or ():
             files.setdefault(ref.scenario, {}).setdefault(ref.path, candidate.name or ref.path.name)
-    each = [(c, refs and [_told_apart(x, files[x.scenario]) for x in refs]) for c, refs in each]
+    each = [(c, refs and [_distinguished(x, files[x.scenario]) for x in refs]) for c, refs in each]
     ids = Counter({ref.id for _, refs in each for ref in refs or ()})
     ids.update({c.path: stem(c.path) for c, refs in each if refs is None}.values())
     listed: dict[ScenarioRef, None] = {}
@@ -170,7 +170,7 @@ def _episodes(found: list[Candidate]) -> list[ScenarioRef]:
     return list(listed)
 
 
-def _told_apart(ref: ScenarioRef, files: Mapping[Path, str]) -> ScenarioRef:
+def _distinguished(ref: ScenarioRef, files: Mapping[Path, str]) -> ScenarioRef:
     """The episode with the path of its file in its id, where several files have that id."""
     if len(files) == 1:
         return ref

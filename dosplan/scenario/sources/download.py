@@ -57,7 +57,7 @@ def downloaded(url: str) -> Path:
 
 
 def _known(copy: Path, marks: Path) -> dict[str, str]:
-    """What tells the server which copy is there; nothing where there is none."""
+    """Request headers that name the cached copy; empty where there is none."""
     try:
         return dict(json.loads(marks.read_text())) if copy.is_file() else {}
     except (OSError, ValueError):

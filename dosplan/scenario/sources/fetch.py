@@ -28,8 +28,8 @@ class Candidate:
 
     Attributes:
         path: The file.
-        name: Its path in the source, which tells broken files of one name apart.
-        chosen: Whether it was named itself, so that it is listed whatever it holds.
+        name: Its path in the source, which distinguishes broken files of one name.
+        chosen: Whether it was named explicitly, so that it is listed whatever it holds.
         wanted: The id whose episodes are wanted, or None for all.
     """
 
@@ -129,7 +129,7 @@ def place(source: str | Path) -> Path:
         source: A path or a URL.
 
     Returns:
-        The path; nothing need be there. A file behind an http(s) URL is fetched.
+        The path, which need not exist. A file behind an http(s) URL is fetched.
 
     Raises:
         ScenarioError: The URL cannot be reached.
@@ -143,7 +143,7 @@ def place(source: str | Path) -> Path:
 
         found = UPath(source)
         found.exists()  # Shows whether the URL's file system is installed and answers.
-    except Exception as error:  # Whatever a file system raises, from anywhere.
+    except Exception as error:  # A file system may raise anything.
         reason = f"{type(error).__name__}: {error}"
         raise ScenarioError(
             Path(source),

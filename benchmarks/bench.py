@@ -1,7 +1,7 @@
 """Times of a planning cycle and of its parts, and the ratios between them; `make bench` runs it.
 
-Absolute times of one machine are no result for another, and a machine that is shared moves them
-by the minute. Hence one process on one core, drives that are compared follow one another, and
+Absolute times of one machine do not hold for another, and on a shared machine they change by the
+minute. Hence there is one process on one core, drives that are compared follow one another, and
 ratios are formed within a scenario, of medians and of processor time, which waiting for a busy
 core does not count in. One drive is repeated at the end of its scenario: how far the ratio
 ``again`` is from one says how far the other ratios can be trusted.
@@ -413,7 +413,7 @@ def show(figures: dict[str, Any]) -> None:
         Console().print(built, highlight=False, markup=False)
 
 
-def _number(value: float) -> str:  # Three figures are more than a time is good for.
+def _number(value: float) -> str:  # Three significant figures are enough for a time.
     if isinstance(value, int) or value >= 100.0:
         return f"{value:.0f}"
     return f"{value:.2f}" if value < 10.0 else f"{value:.1f}"
@@ -429,7 +429,7 @@ def _options() -> argparse.Namespace:
         type=Engine,
         choices=[*Engine],
         default=Engine.TORCH,
-        help="of the trained networks; onnx wants `dosplan export` first",
+        help="of the trained networks; onnx needs `dosplan export` first",
     )
     parser.add_argument("--json", type=Path, metavar="PATH", help="write the same figures there")
     options = parser.parse_args()

@@ -117,7 +117,7 @@ def run_episode(
         arm: With or without the sets.
         seed: Seed of a plug-in that is given by its name.
         replan_every: Steps driven from each plan.
-        traffic: Who else is on the road: a traffic, or the name of one.
+        traffic: The other road users: a traffic, or the name of one.
 
     Returns:
         The drive: ``row``, its score; ``episode``, all that happened; ``recording``, what a run
@@ -154,7 +154,7 @@ def run_suite(
         source: Where the scenarios are, as ``find_scenarios`` takes it.
         planner: A planner's class, or the name of one.
         predictor: A predictor's class, or the name of one.
-        traffic: Who else is on the road: a traffic's class, or the name of one.
+        traffic: The other road users: a traffic's class, or the name of one.
         out: The run folder; ``runs/<date and time>`` by default.
         progress: Called with the number of finished episodes and of all.
         executor: Drives the episodes; worker processes do by default.

@@ -8,7 +8,7 @@ from dosplan.types import Observation, Occupancy, Plan
 
 
 class Coast(Planner):
-    """Rolls on and brakes for whoever is predicted within ten metres."""
+    """Keeps its speed and brakes for road users that are predicted within ten metres."""
 
     name = "coast-v1"
 
@@ -16,10 +16,10 @@ class Coast(Planner):
         vehicle = observation.task.vehicle
         gap = occupancy.centre[:, :10] - vehicle.centre(observation.ego)
         near = occupancy.valid[:, :10] & (np.hypot(gap[..., 0], gap[..., 1]) < 10.0)
-        wish = np.array([0.0, -4.0 if near.any() else 0.0])
+        wanted = np.array([0.0, -4.0 if near.any() else 0.0])
         states, inputs = [observation.ego], []
         for _ in range(20):
-            inputs.append(vehicle.clip_input(states[-1], wish, observation.dt))
+            inputs.append(vehicle.clip_input(states[-1], wanted, observation.dt))
             states.append(vehicle.step(states[-1], inputs[-1], observation.dt))
         return Plan(states=np.array(states), inputs=np.array(inputs))
 

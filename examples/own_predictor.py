@@ -8,7 +8,7 @@ from dosplan.types import USER_HEADING, USER_VELOCITY, Observation, Occupancy
 
 
 class Straight(Predictor):
-    """Everybody drives on as they do now; how far off that is grows with the speed."""
+    """Constant velocity; the sets grow with the distance driven."""
 
     name = "straight-v1"
 

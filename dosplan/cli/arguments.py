@@ -1,4 +1,4 @@
-"""What several built-in subcommands share: arguments, and how figures are shown and written."""
+"""Arguments that several built-in subcommands share, and how figures are shown and written."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _json_path(text: str) -> Path:
 
 
 def _may_be_json(path: Path) -> bool:
-    """Whether a file is empty or begins as what ``show`` writes; one nobody may read may be."""
+    """Whether a file is empty or begins as what ``show`` writes; true if it cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(1) in (b"", b"{")

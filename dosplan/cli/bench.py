@@ -1,4 +1,4 @@
-"""``dosplan bench``: what batches cost on this machine."""
+"""``dosplan bench``: time and memory of batches on this machine."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class Command(Protocol):
         """
 
     def run(self, options: argparse.Namespace) -> int:
-        """Does it.
+        """Runs the subcommand.
 
         Args:
             options: The arguments.

@@ -62,7 +62,7 @@ class EvaluateCommand:
         )
 
     def run(self, options: argparse.Namespace) -> int:
-        """Measures; what cannot be read is told on stderr.
+        """Measures; files that cannot be read are named on stderr.
 
         Returns:
             0; 1 where a file could not be evaluated.

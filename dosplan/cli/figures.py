@@ -44,7 +44,7 @@ class FiguresCommand:
         )
 
     def run(self, options: argparse.Namespace) -> int:
-        """Draws; what is missing for one figure costs that figure alone.
+        """Draws; where data of one figure is missing, the others are still drawn.
 
         Returns:
             0; 1 where a figure could not be drawn, which stderr has a line on.

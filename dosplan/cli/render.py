@@ -97,8 +97,8 @@ class RenderCommand:
             raise CommandError(f"seed is {options.seed}; it must not be negative")
         takes, title = _takes(options)
         print(_write(takes, title, options))
-        # What fails in a run is told by the run.
-        return _tell_failures(takes) if options.planner else OK
+        # A run reports its own failures.
+        return _print_failures(takes) if options.planner else OK
 
 
 def _write(takes: Sequence[Take], title: str, options: argparse.Namespace) -> str:
@@ -118,7 +118,7 @@ def _write(takes: Sequence[Take], title: str, options: argparse.Namespace) -> st
     return f"picture in {options.out}"
 
 
-def _tell_failures(takes: Sequence[Take]) -> int:
+def _print_failures(takes: Sequence[Take]) -> int:
     """Prints why planners failed."""
     from dosplan.report.tables import error_lines
 
@@ -145,7 +145,7 @@ def _takes(options: argparse.Namespace) -> Takes:
         return takes_of_drive(_scenario(options), options.planner, predictor, arms, options.seed)
     if options.predictor or options.arm or options.seed:
         raise CommandError(
-            f"{options.what} is a scenario, which nobody has driven: name a --planner, or an "
+            f"{options.what} is a scenario, which was not driven: name a --planner, or an "
             "episode as RUN:ID"
         )
     return takes_of_scenario(_scenario(options))

@@ -67,10 +67,10 @@ class ScoreCommand:
             "written": options.write,
         }
         lines = change_lines(found.changes)
-        told = f"{figures['agree']} of {len(found.rows)} rows agree"
+        agreement = f"{figures['agree']} of {len(found.rows)} rows agree"
         if found.kept:
-            told += f"; {found.kept} of them were never driven and are kept"
-        lines.append(told)
+            agreement += f"; {found.kept} of them were never driven and are kept"
+        lines.append(agreement)
         if options.write:
             lines.append(f"rows and summary written in {options.run_folder}")
         show(lines, figures, options.json)

@@ -44,12 +44,12 @@ EPISODES_FROM: Final = 1_001
 TAGS: Final = frozenset({"intersection", "urban"})
 GOAL_WIDTH: Final = 3.4
 UNUSABLE: Final = "unusable"
-"""Why a moment was refused that dosplan cannot even read, such as one far off the road."""
+"""Reason for moments that dosplan cannot read, such as one far off the road."""
 
 
 @dataclass(frozen=True)
 class _Source:
-    """A record with its map, and the name of what is made of it."""
+    """A record with its map, and the name of the files that are made of it."""
 
     record: Record
     lanelet_map: Lanelet2Map
@@ -74,7 +74,7 @@ def convert_sind(
         folder: The record's folder.
         out: Folder for ``recordings/`` and ``scenarios/``.
         map_file: Its Lanelet2 map; the one in the folder or beside it by default.
-        progress: Called with the number of cars that were looked at and of all.
+        progress: Called with the number of cars that were examined and of all.
 
     Returns:
         What was made: ``record``, ``map``, ``lanelets``, ``lights``, ``tracks`` by agent type,
@@ -155,8 +155,8 @@ def _xml(source: _Source, number: int, first: int, last: int, moment: Moment | N
 def _map(source: _Source, first: int, last: int) -> LaneletMap:
     """The map with the lights as they were in the window.
 
-    The record numbers its lights; which lanes they are for, a picture says and no table. So no
-    lanelet refers to them, and those that the map does not place stand amid the stop lines.
+    The record numbers its lights, but only a picture shows which lanes they are for. So no lanelet
+    refers to them, and those without a place in the map are put in the middle of the stop lines.
     """
     lights, places = source.record.lights, source.lanelet_map.lights
     return LaneletMap(

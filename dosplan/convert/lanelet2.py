@@ -228,7 +228,7 @@ def _is_left(line: FloatArray, point: FloatArray) -> bool:
 def _drafts(lanes: list[_Lane]) -> list[LaneletDraft]:
     drafts = [_draft(number, lane) for number, lane in enumerate(lanes, FIRST_ID)]
     begins: defaultdict[tuple[str, str], list[LaneletDraft]] = defaultdict(list)
-    # Who lies on the right and on the left of each line, looking along it in one direction: the
+    # The lanelets on the right and on the left of each line, seen along it in one direction: the
     # lanelet, the name of its neighbour there, and whether it runs in that direction.
     beside: defaultdict[tuple[str, ...], tuple[list[_Side], list[_Side]]]
     beside = defaultdict(lambda: ([], []))
@@ -258,7 +258,7 @@ def _draft(number: int, lane: _Lane) -> LaneletDraft:
     left, right = _side_by_side(lane.left.points, lane.right.points)
     kind = _KINDS.get(lane.tags.get("subtype", ""), _STREET)
     users = _USERS.get(kind, _VEHICLES)
-    # On foot one goes both ways, whatever the map leaves out.
+    # Pedestrians walk in both directions, also where the map does not say so.
     if lane.tags.get("one_way") == "no" or users == ("pedestrian",):
         return LaneletDraft(number, left, right, kind, (), both_ways=users)
     return LaneletDraft(number, left, right, kind, users)

@@ -47,7 +47,7 @@ FASTEST: Final = 100.0
 """Largest speed, m/s, and with 10 km the largest position: what is beyond is no track."""
 FARTHEST: Final = 10_000.0
 WALKING: Final = 0.3
-"""Speed from which on a pedestrian faces where they go, m/s."""
+"""Speed from which on a pedestrian's heading is the direction of motion, m/s."""
 LFS_HEADER: Final = b"version https://git-lfs.github.com/spec/"
 
 _POINT: Final = ("x", "y", "vx", "vy")
@@ -118,7 +118,7 @@ class Record:
 
     Attributes:
         folder: Where it lies.
-        tracks: Everyone, vehicles first, in the order of the tables.
+        tracks: All road users, vehicles first, in the order of the tables.
         lights: Its traffic lights.
     """
 
@@ -259,7 +259,7 @@ def _tracks(path: Path, name: str, label: str, table: FloatArray) -> Iterator[Tr
 
 
 def _facing(velocity: FloatArray) -> FloatArray:
-    """(K,) headings of a pedestrian, who faces where they walk, and when standing walked last."""
+    """(K,) headings of a pedestrian: the direction of motion, or when standing, the last one."""
     walking = np.flatnonzero(np.hypot(velocity[:, 0], velocity[:, 1]) > WALKING)
     if len(walking) == 0:
         walking = np.arange(len(velocity))

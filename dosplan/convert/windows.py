@@ -20,7 +20,7 @@ SLACK: Final = 25
 EARLY: Final = 20
 """Steps before the recorded arrival from which the goal counts."""
 START_STRIDE: Final = 20
-"""Steps between two starts of one vehicle that are looked at."""
+"""Steps between two starts of one vehicle that are tried."""
 MIN_START_SPEED: Final = 3.0
 """Least speed at the ego's start, m/s."""
 BRAKING: Final = 3.0
@@ -64,7 +64,7 @@ def pieces(tracks: Sequence[Track]) -> Iterator[tuple[int, int, int]]:
         tracks: Everyone.
 
     Yields:
-        Number from 1 on, first and last step of each piece in which there is anybody.
+        Number from 1 on, first and last step of each piece that holds a road user.
     """
     end = max(track.last for track in tracks)
     for number, first in enumerate(range(0, end + 1, PIECE), start=1):
@@ -76,7 +76,7 @@ def pieces(tracks: Sequence[Track]) -> Iterator[tuple[int, int, int]]:
 def present(
     tracks: Sequence[Track], first: int, last: int
 ) -> Iterator[tuple[int, Track, int, FloatArray]]:
-    """Who is there in a window, at two steps or more.
+    """The road users that are in a window at two steps or more.
 
     Args:
         tracks: Everyone.
@@ -93,7 +93,7 @@ def present(
 
 
 def moments(track: Track) -> Iterator[Moment]:
-    """Stretches of a vehicle's drive that ask an ego for driving, in the order of time.
+    """Stretches of a vehicle's drive that an ego cannot solve by braking, in the order of time.
 
     Args:
         track: The vehicle, of ``EGO_LABEL``.

@@ -1,8 +1,8 @@
 """Evaluates methods on a folder of recordings, in worker processes.
 
-A task is one file: whatever breaks there (the file, a method on it, the worker) costs that file
-for every method, so that all methods are compared on the same windows, and is told. Results do
-not depend on the number of workers.
+A task is one file. Where anything fails there (the file, a method on it, the worker), the file is
+left out for every method, so that all methods are compared on the same windows, and the failure is
+listed. Results do not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def evaluate(
         failed += broken
         _require_windows(known, config.scale_on, broken)
         factors = scales(known)
-        del known  # As large as what follows.
+        del known  # It is as large as what follows.
     done_before = len(reference)
     samples, broken = _sample_all(files, config, lambda done: progress(done_before + done, total))
     failed += broken
@@ -151,7 +151,7 @@ def sample_path(ref: ScenarioRef, methods: str, every: int, seed: int) -> FileSa
     except PredictionError as error:
         _predictors.cache_clear()
         return f"{ref.path}: {error}"
-    except Exception as error:  # A fault of the reader costs one file, too.
+    except Exception as error:  # An error in the reader loses one file only.
         return f"{ref.path}: {one_line(error)}"
 
 

@@ -1,4 +1,4 @@
-"""Which windows are looked at together: kinds, speeds, families, and families by speed.
+"""Groups of windows: kinds, speeds, families, and families by speed.
 
 A *family* is where a recording comes from. It follows from the scenario alone: the tag
 ``simulated`` makes it ``simulated``; otherwise it is the location in the benchmark id
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from dosplan.types import BoolArray, IntArray, RoadUserKind
 
-MOVING: Final = 0.3  # m/s; who is slower stands.
+MOVING: Final = 0.3  # m/s; slower road users count as standing.
 SPEED_EDGES: Final = (0.0, MOVING, 4.0, 8.0, 16.0, np.inf)  # m/s
 SPEED_BINS: Final = ("<0.3 m/s", "0.3-4 m/s", "4-8 m/s", "8-16 m/s", ">=16 m/s")
 KINDS: Final = tuple(kind for kind in RoadUserKind if kind.moves)  # The others are not predicted.

@@ -1,6 +1,6 @@
 """Upper limits: the smallest set of each shape that just touches the true centre.
 
-No predictor of sets around the same trajectory can cover a centre with less. The paper shows
+No set around the same predicted position can cover the centre with less area. The paper shows
 these limits as a figure and leaves open how long and thin an ellipse may be: without a bound the
 smallest ellipse through a point has area zero. Here the ratio rho = a / b of the semi-axes (a
 along the given angle) is within [1/R, R], R = ``MAX_RATIO``.

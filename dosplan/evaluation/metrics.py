@@ -93,7 +93,7 @@ def covered(distance: Floats) -> BoolArray:
 
 
 def clustered_ratio(values: npt.NDArray[Any], cluster: IntArray) -> Ratio:
-    """Mean over windows with a standard error that knows that a scenario's windows are alike.
+    """Mean over windows; its standard error takes into account that a scenario's are correlated.
 
     The mean is a ratio of sums over scenarios c, R = sum y_c / sum n_c, and its error that of
     the ratio estimator (Cochran, "Sampling Techniques", 3rd ed., section 2.11 and ch. 6):
@@ -153,7 +153,7 @@ def scaled_area(area: float | None, scale: float | None) -> float | None:
 def coverage_at_area(distance: Floats, area: float | None, wanted: float) -> float | None:
     """Share that sets cover when one factor on their semi-axes gives them a wanted mean area.
 
-    The factor, sqrt(wanted / area), knows the sets alone and no truth.
+    The factor, sqrt(wanted / area), depends on the sets alone, not on the truth.
 
     Args:
         distance: (W,) Mahalanobis distances to the sets as predicted.

@@ -1,4 +1,4 @@
-"""What is kept of each window: the few numbers that every figure follows from.
+"""What is kept of each window: the few numbers from which all figures are computed.
 
 A window costs 36 bytes per method and some 130 per trajectory, so that 30 methods on 100 000
 windows stay well below a gigabyte. Methods that stand on the same trajectories share them: they
@@ -102,10 +102,10 @@ class FileSamples:
 def sample_file(
     scenario: Scenario, predictors: Sequence[tuple[str, Predictor]], every: int
 ) -> FileSamples:
-    """Shows a recording to all methods and keeps what they are worth.
+    """Runs all methods on a recording and keeps their samples.
 
-    All methods see an observation, as the same object, before the next one is made: those that
-    share costly work can keep it for each other.
+    All methods see an observation, as the same object, before the next one is made, so that
+    methods can share the results of costly work.
 
     Args:
         scenario: The recording.
@@ -113,7 +113,7 @@ def sample_file(
         every: Steps between two observations.
 
     Returns:
-        The samples; of no windows where nobody has a future.
+        The samples; without windows where no road user has a future.
 
     Raises:
         PredictionError: A predictor raised.
@@ -225,7 +225,7 @@ def _against_centres(
 
 
 def _motion(observation: Observation) -> FloatArray:
-    """(N,) direction of the last step; the heading of who stands or has just appeared, rad."""
+    """(N,) direction of the last step; the heading of one that stands or has just appeared."""
     now, before = observation.states[:, -1], observation.states[:, -2]
     way = now[:, [USER_X, USER_Y]] - before[:, [USER_X, USER_Y]]
     # NaN where there is no step before: the comparison is then False.

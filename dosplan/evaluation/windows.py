@@ -49,7 +49,7 @@ class Moment:
 def moments(scenario: Scenario, every: int) -> Iterator[Moment]:
     """Walks through a recording.
 
-    The ego stands at its start all the while: it is not what is predicted.
+    The ego stays at its start: it is not predicted.
 
     Args:
         scenario: The recording.

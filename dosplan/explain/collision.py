@@ -1,4 +1,4 @@
-"""A collision: who was struck, where it came from, and whether its sets had told so."""
+"""A collision: the road user, where it came from, and whether its sets predicted it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from dosplan.types import (
 )
 
 LOOK_BACK: Final = 2.0
-"""How long before the contact the road user's place is told, s."""
+"""How long before the contact the road user's place is given, s."""
 
 _MEANING: Final = {
     CollisionClass.STOPPED_EGO: "it ran into the standing ego",
@@ -81,13 +81,13 @@ class CollisionFacts:
         road_user: Id.
         kind: What it is.
         collision_class: nuPlan's class.
-        at_fault: Whether the ego is to blame.
+        at_fault: Whether the ego is at fault.
         relative_speed: Of the two centres, m/s.
         ego_speed: m/s.
         road_user_speed: m/s.
         course: How the road user moved.
         seen_for: How long it had been on the scene, s, since the ego's start at most.
-        before: How long before the contact ``ahead`` and ``left`` are told, s.
+        before: How long before the contact ``ahead`` and ``left`` are given, s.
         ahead: Where it was then, m ahead of the ego's centre; negative behind.
         left: m to the left; negative to the right.
         arm: With sets or without.
@@ -168,7 +168,7 @@ def collision_facts(drive: Drive, contact: Contact) -> CollisionFacts:
         The facts.
 
     Raises:
-        FileError: The row does not tell the collision's class.
+        FileError: The row does not name the collision's class.
     """
     row, dt = drive.row, drive.scenario.dt
     tracks, step = drive.tracks, contact.step

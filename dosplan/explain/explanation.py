@@ -23,7 +23,7 @@ class Explanation:
     Attributes:
         scenario: Id of the scenario.
         arm: The arm.
-        outcome: What became of it.
+        outcome: Its outcome.
         step: The step that decided it; None where the episode never began.
         seconds: That step since the start, s.
         min_time_to_collision: The row's, s.

@@ -24,7 +24,7 @@ class GoalFacts:
     Attributes:
         goal: Which of the alternatives, from 1.
         failed: The conditions that failed there: ``position``, or ``time``, or ``heading`` and
-            ``velocity``; the later ones are looked at where the earlier hold.
+            ``velocity``; the later ones are checked where the earlier hold.
         seconds: Time of that step since the start, s.
         at_end: Whether it is the last step of the drive.
         distance: From the ego's centre to the region, m.
@@ -50,13 +50,13 @@ class GoalFacts:
 
     def lines(self) -> list[str]:
         """What failed, in plain words."""
-        told = {
+        texts = {
             "position": self._position,
             "time": self._time,
             "heading": self._heading,
             "velocity": self._velocity,
         }
-        return [f"goal {self.goal}: {told[name]()}" for name in self.failed]
+        return [f"goal {self.goal}: {texts[name]()}" for name in self.failed]
 
     def _position(self) -> str:
         when = ", at the last step" if self.at_end else ""

@@ -38,7 +38,7 @@ class Margins:
     Attributes:
         reached: When the goal was reached, s since the start.
         spare: Time left then, s.
-        clearance: To the road user that came closest at a step; None where nobody was there.
+        clearance: To the road user that came closest at a step; None where there was none.
         road: Smallest distance of the ego's rectangle to the edge of the drivable area, m.
     """
 

@@ -1,4 +1,4 @@
-"""What the planner said in the last seconds before an episode was decided."""
+"""The planner's reports in the last seconds before an episode was decided."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dosplan.scoring.metrics import SLACK_SEEN
 from dosplan.types import SolveStatus
 
 WINDOW: Final = 2.0
-"""Length of the time that is looked at, s."""
+"""Length of the time that is summed up, s."""
 
 _STATUSES: Final = {status.word: status for status in SolveStatus}
 

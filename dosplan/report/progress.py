@@ -1,4 +1,4 @@
-"""How far a run is: live on a terminal, now and then a line elsewhere."""
+"""Progress of a run: a live table on a terminal, single lines elsewhere."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _COUNTED: Final = {
 
 @contextmanager
 def show_progress(console: Console, unit: str) -> Iterator[Callable[[int, int], None]]:
-    """Shows how far something is while the block runs.
+    """Shows progress while the block runs.
 
     Args:
         console: Where to.
@@ -95,7 +95,7 @@ class _Tally(Observer):
         self.done = 0
         self._clock = clock
         self._began = 0.0
-        self._left_over = 0  # Of an earlier start: they say nothing of how quickly this one goes.
+        self._left_over = 0  # Rows of an earlier start: they are left out of the rate.
 
     def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
         self.outcomes = {arm: Counter() for arm in episodes}
@@ -114,7 +114,7 @@ class _Tally(Observer):
 
     @property
     def pace(self) -> str:
-        """How quickly it goes, and when it will be over; nothing before the first row."""
+        """Rate and time left; nothing before the first row."""
         driven, seconds = self.done - self._left_over, self._clock() - self._began
         if not driven or seconds <= 0.0:
             return ""

@@ -47,13 +47,13 @@ def error_lines(rows: Iterable[Score]) -> list[str]:
 
     Returns:
         One line for each distinct error, the most frequent first, with its count and the first
-        episode it befell; after ``ERRORS_SHOWN`` of them, one line that counts the others.
+        episode in which it occurred; after ``ERRORS_SHOWN`` of them, a line that counts the others.
     """
-    befallen: dict[str, list[Score]] = {}
+    rows_of: dict[str, list[Score]] = {}
     for row in rows:
         if row.error is not None:
-            befallen.setdefault(row.error, []).append(row)
-    errors = sorted(befallen.items(), key=lambda item: -len(item[1]))
+            rows_of.setdefault(row.error, []).append(row)
+    errors = sorted(rows_of.items(), key=lambda item: -len(item[1]))
     lines = [
         f"{len(failed)} x {error} [{failed[0].scenario}, {failed[0].arm.value}]"
         for error, failed in errors[:ERRORS_SHOWN]

@@ -108,8 +108,8 @@ def compare_rows(
     Args:
         a: Rows of side A, one for each scenario.
         b: Rows of side B.
-        name_a: What side A is called.
-        name_b: What side B is called.
+        name_a: Name of side A.
+        name_b: Name of side B.
 
     Returns:
         The comparison, ``b - a``.
@@ -173,7 +173,7 @@ class Side:
 
     @property
     def name(self) -> str:
-        """What it is called: ``RUN:arm``."""
+        """Its name: ``RUN:arm``."""
         return f"{self.path}:{self.arm.value}"
 
 

@@ -42,7 +42,7 @@ class Drive:
         row: Its row.
         recording: What its file keeps.
         scene: What was driven; None where the scenario file is not there any more.
-        whole: All that happened; None where the drive was read from a run folder.
+        whole: The episode; None where the drive was read from a run folder.
 
     Raises:
         FileError: The episode was not driven in this scenario, or ended before its row says so.
@@ -95,7 +95,7 @@ class Drive:
 
     @property
     def episode(self) -> Episode:
-        """All that happened, where it was driven in this process.
+        """The episode, where it was driven in this process.
 
         Raises:
             FileError: The drive was read from a run folder, which keeps a part.

@@ -81,7 +81,7 @@ class RunFolder:
         return self.recording(scenario, arm).with_suffix(".txt")
 
     def holds(self, row: Score) -> bool:
-        """Whether the folder holds the episode file that a row speaks of.
+        """Whether the folder holds the episode file of a row.
 
         Args:
             row: A row.

@@ -1,7 +1,7 @@
 """95 % intervals of what is averaged over scenarios.
 
-Scenarios of one place resemble each other, so they tell less than as many of different places. How
-much a mean is worth is judged from the sums over places, which are taken as independent. Where
+Scenarios of one place resemble each other, so they carry less information than as many of different
+places. The variance of a mean is estimated from the sums over places, taken as independent. Where
 every place has one scenario, all intervals are those of independent scenarios. Where there is one
 place alone, its scenarios are taken as independent, and an interval says nothing about other
 places.
@@ -127,11 +127,11 @@ def mean_test(values: FloatArray, places: Sequence[str]) -> MeanTest:
 
 
 def effective_number(values: FloatArray, places: Sequence[str]) -> float:
-    """How many independent scenarios tell as much as these.
+    """Number of independent scenarios that carry as much information as these.
 
     The number of scenarios over the design effect: the variance of the mean by places over that of
-    independent scenarios, 1 at least. That the variance is known from few places only is paid for
-    in the number, too: it is multiplied by the squared ratio of the t quantiles of ``n - 1`` and of
+    independent scenarios, 1 at least. As the variance is estimated from few places only, the
+    number is also multiplied by the squared ratio of the t quantiles of ``n - 1`` and of
     ``places - 1`` degrees of freedom (Korn, Graubard, "Confidence intervals for proportions with
     small expected number of positive counts estimated from survey data", Survey Methodology 24,
     1998).

@@ -19,14 +19,14 @@ from dosplan.types import Arm
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings:
-    """How a run was asked for; two runs of the same settings have the same rows but for timings.
+    """The settings of a run; two runs of the same settings have the same rows except for timings.
 
     Attributes:
         source: Where the scenarios are, as ``dosplan.scenario.find_scenarios`` takes it; several
             are a list.
         planner: Planner, as ``dosplan.plugins.registry`` finds it.
         predictor: Predictor, likewise.
-        traffic: Who else is on the road, likewise.
+        traffic: Traffic, likewise.
         planner_options: What was set of the planner's settings: what JSON can hold, see
             ``dosplan.plugins.settings``.
         predictor_options: Likewise of the predictor's.
@@ -43,7 +43,7 @@ class RunSettings:
         episode_timeout: Seconds after which an episode counts as hung; the making of the
             planner, where a worker has none yet, is within them.
         memory_limit: Resident memory at which a worker process is ended, MB (10^6 bytes).
-        ranked: Whether the run keeps the rules: a predictor that sees the future is refused.
+        ranked: Whether the run may be ranked: a predictor that sees the future is refused.
         cluster: Dask scheduler (``tcp://host:port``) or ``local:N``; None drives on this machine.
         cache: Whether parsed scenarios are kept for the next run (``dosplan.scenario.cache``).
         solutions: Whether the run folder gets CommonRoad solutions (``dosplan.results.solutions``).

@@ -81,7 +81,7 @@ def summary_cells(summary: Summary) -> list[Cells]:
 
 
 def summary_title(summary: Summary) -> str:
-    """Says in a line what was run.
+    """Describes the run in one line.
 
     Args:
         summary: The summary of a run.
@@ -101,12 +101,12 @@ def summary_title(summary: Summary) -> str:
         for name, value in chosen.items()
     )
     traffic = [] if run.traffic == "replay" else [f"traffic {run.traffic}"]
-    told = ", ".join([*traffic, f"seed {run.seed}", *options])
-    return f"{run.planner} with {run.predictor} on {run.source}, {told}{mark}"
+    settings = ", ".join([*traffic, f"seed {run.seed}", *options])
+    return f"{run.planner} with {run.predictor} on {run.source}, {settings}{mark}"
 
 
 def difference_lines(summary: Summary) -> list[str]:
-    """Says what the arms differ by.
+    """Describes the difference between the arms.
 
     Args:
         summary: The summary of a run.

@@ -1,6 +1,6 @@
 """The file of one episode: what was driven, planned and predicted, for players and re-scoring.
 
-A compressed ``.npz`` of plain arrays (nothing is pickled). What a row follows from is kept exactly:
+A compressed ``.npz`` of plain arrays (nothing is pickled). These are exact, as rows need them:
 the driven states and inputs, the road users as they were driven, cycle times and what the solver
 said, so that an episode can be scored again. Plans and predictions, which are many, are kept
 relative to the ego's start in single precision, rounded to 1/64 m and 1/64 rad, for the road users
@@ -41,7 +41,7 @@ from dosplan.types import (
 
 KEPT_EVERY: Final = 5  # Predicted steps 5, 10, 15, ... are kept.
 NEARBY_METRES: Final = 60.0  # Sets of road users farther from the ego than this are left out.
-SAME_START: Final = 1e-3  # m, rad and m/s; a reader of another version may round otherwise.
+SAME_START: Final = 1e-3  # m, rad and m/s; another version of the reader may round differently.
 _GRAIN: Final = 64.0  # A power of two: rounding zeroes the mantissa's tail, which compresses.
 
 _OF_A_CYCLE: Final = (
@@ -153,7 +153,7 @@ class Recording:
 
     @property
     def reports(self) -> tuple[SolveReport, ...]:
-        """What was said of each of the C plans; times inside the solver are not kept."""
+        """The reports of the C plans; times inside the solver are not kept."""
         words = {status.word: status for status in SolveStatus}
         return tuple(
             SolveReport(
@@ -194,7 +194,7 @@ class Recording:
 
     @classmethod
     def of(cls, scenario: Scenario, episode: Episode) -> Self:
-        """Takes of an episode what its file keeps.
+        """Takes from an episode what its file keeps.
 
         Args:
             scenario: What was driven.
@@ -308,13 +308,13 @@ def load_cycle_ms(path: Path) -> FloatArray:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """The arrays of a file; whatever is wrong with them in the block is told in one line."""
+    """The arrays of a file; any error with them in the block becomes one line."""
     try:
         with np.load(path, allow_pickle=False) as file:
             yield file
     except FileNotFoundError:
         raise FileError(f"{path} is missing") from None
-    except Exception as error:  # What a damaged archive raises is not foreseeable.
+    except Exception as error:  # A damaged archive can raise almost anything.
         raise FileError(
             f"{path} is not an episode file of this version: {one_line(error)}"
         ) from None
@@ -359,7 +359,7 @@ def _planned_centres(scenario: Scenario, episode: Episode) -> FloatArray:
 
 
 def _kept_sets(episode: Episode) -> dict[str, Any]:
-    """The sets that are kept of all that were predicted."""
+    """Selects the predicted sets that are kept."""
     horizon = max((occupancy.horizon for occupancy in episode.occupancies), default=0)
     columns = np.arange(KEPT_EVERY - 1, horizon, KEPT_EVERY)
     cycles: list[IntArray] = [np.empty(0, dtype=np.int64)]

@@ -137,7 +137,7 @@ def _scored(row: Score, recording: Recording, scenario: Scenario) -> Score:
     drive = Drive(row, recording, scenario)
     try:
         found = score_driven(scenario, recording, drive.tracks)
-    except (ValueError, KeyError) as error:  # What a damaged file says of its plans.
+    except (ValueError, KeyError) as error:  # Raised for the plans of a damaged file.
         raise FileError(
             f"the episode file of {row.scenario}, {row.arm}, cannot be scored: {one_line(error)}"
         ) from error

@@ -1,6 +1,6 @@
 """The solutions of a run: ``solutions/<scenario>.<arm>.xml`` for CommonRoad's tools and site.
 
-They follow from the episode files, so they can be asked for when a run is done, too. The planning
+They are made from the episode files, so they can be made after a run, too. The planning
 problems of one scenario file are in one solution, as CommonRoad has it; a problem of which nothing
 was driven is missing there.
 """

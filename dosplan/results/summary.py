@@ -31,7 +31,7 @@ value."""
 
 @dataclass(frozen=True, kw_only=True)
 class RunTitle:
-    """Which run a summary is of: what decides its figures.
+    """The run that a summary is of: everything that its figures depend on.
 
     Attributes:
         source: Where the scenarios were, as it was given to the run.
@@ -42,7 +42,7 @@ class RunTitle:
         predictor_options: Options of the predictor.
         traffic_options: Options of the traffic.
         seed: Seed of everything random.
-        ranked: Whether the run kept the rules: false where the predictor may have seen the future.
+        ranked: Whether the run may be ranked: false where the predictor may have seen the future.
     """
 
     source: str
@@ -80,7 +80,7 @@ class Summary:
 
     @property
     def content(self) -> dict[str, Any]:
-        """What ``summary.json`` and ``--json`` hold: no key for what there is not."""
+        """What ``summary.json`` and ``--json`` hold: absent figures have no key."""
         compared = None if self.comparison is None else self.comparison.content()
         content = {**vars(self), "comparison": compared}
         return {key: plain(value) for key, value in content.items() if value is not None}

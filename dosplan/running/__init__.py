@@ -1,1 +1,1 @@
-"""Many episodes: what a run is, who drives its episodes, and how every one becomes a row."""
+"""Runs of many episodes: the configuration, the executors, and the loop that writes the rows."""

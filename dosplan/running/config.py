@@ -1,4 +1,4 @@
-"""What a run is: the one value that the run loop, the executors and the workers share."""
+"""The configuration of a run, which the run loop, the executors and the workers share."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class RunConfig(RunSettings):
 
 
 def default_folder() -> Path:
-    """Where a run goes that names no folder.
+    """The folder of a run that names none.
 
     Returns:
         ``runs/<date and time>``.

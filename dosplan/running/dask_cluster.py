@@ -1,6 +1,6 @@
 """Drives episodes on a Dask cluster: many machines, and one runner that writes.
 
-Each thread of a Dask worker drives in an ``EpisodeProcess`` of its own, so that an episode meets
+Each thread of a Dask worker drives in an ``EpisodeProcess`` of its own, so that an episode has
 the same isolation and gives the same row as on one machine. The scenario is read where it is
 driven; its row and files travel back. When a Dask worker dies, the scheduler hands its episodes to
 another one.
@@ -110,7 +110,7 @@ class DaskExecutor:
                 _stop_driving(client)
 
     def _result(self, future: Any, task: Task) -> EpisodeResult:
-        if future.cancelled():  # Nobody cancels but the client that has lost its scheduler.
+        if future.cancelled():  # Only a client that has lost its scheduler cancels.
             raise CancelledError
         error = future.exception()
         if error is None:
@@ -172,14 +172,14 @@ async def _stop_processes() -> None:
 
 
 def _stop_driving(client: Any) -> None:
-    """Tells the workers to let go of the run, without waiting for them."""
+    """Asks the workers to end the run, without waiting for them."""
     if client.status == "running":
-        with suppress(OSError):  # The cluster may be on its way out, too.
+        with suppress(OSError):  # The cluster may be closing, too.
             client.run(_stop_processes, wait=False)
 
 
 def dask_setup(_: Any) -> None:
-    """Keeps Ctrl-C from a worker of a local cluster, which is the runner's to handle."""
+    """Makes a worker of a local cluster ignore Ctrl-C, which the runner handles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
@@ -224,9 +224,9 @@ def _local_cluster(workers: int) -> Iterator[str]:
 
 
 def _silence_dask() -> None:
-    """Keeps Dask's log lines off the console: what matters of them becomes one line of ours.
+    """Turns off Dask's log lines: dosplan reports what matters in one line.
 
-    For good, since its threads go on to complain when the run is over.
+    They stay off, since its threads still log when the run is over.
     """
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] == "distributed":

@@ -23,7 +23,7 @@ Results = Generator[tuple[Task, EpisodeResult], None, None]
 
 
 class Executor(Protocol):
-    """Drives episodes somewhere."""
+    """Drives episodes, in this process or in others."""
 
     def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
         """Drives episodes and yields each as it ends.
@@ -48,8 +48,8 @@ class Executor(Protocol):
 class SerialExecutor:
     """Drives one episode after another in the process that calls, so that a debugger can stop it.
 
-    What a plug-in raises becomes a row, as everywhere. But an episode that hangs, crashes or eats
-    memory does so to the whole run: neither ``episode_timeout`` nor ``memory_limit`` is watched.
+    What a plug-in raises becomes a row, as everywhere. But an episode that hangs, crashes or
+    uses up memory does so to the whole run: neither ``episode_timeout`` nor ``memory_limit`` is watched.
     Standard input and output are the plug-in's, and the global random generators are seeded for
     each episode.
 
@@ -63,7 +63,7 @@ class SerialExecutor:
         """Drives episodes, as ``Executor`` says.
 
         Raises:
-            KeyboardInterrupt: Somebody interrupts, or leaves a debugger.
+            KeyboardInterrupt: The user interrupts, or leaves a debugger.
         """
         session = Session(config, attended=True)
         for ref, arm in tasks:

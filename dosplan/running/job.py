@@ -70,11 +70,11 @@ class Session:
             Its row and files. Whatever a plug-in or a scenario file raises becomes a row, too.
 
         Raises:
-            KeyboardInterrupt: Somebody interrupts, or a plug-in raises it, which looks the same.
+            KeyboardInterrupt: The user interrupts, or a plug-in raises it, which looks the same.
         """
         config = self._config
         raised: list[BaseException] = []
-        # Those that come well through the episode are put back at its end.
+        # Put back at the end of the episode, unless it failed.
         plugins, self._plugins = self._plugins, None
         try:
             seed_globals(config.seed)
@@ -84,7 +84,7 @@ class Session:
             loop = SimulationConfig(replan_every=config.replan_every)
             episode = run_episode(scenario, planner, predictor, arm, loop, traffic, raised.append)
             done = Drive.of(scenario, episode)
-            # What is no number is told here, not when the runner appends the row.
+            # A value that is not a number fails here, not when the runner appends the row.
             row_line(done.row)
             recording = done.recording.pack()
         except (Exception, SystemExit) as error:
@@ -97,7 +97,7 @@ class Session:
         return EpisodeResult(done.row, recording, _text(raised[0]) if raised else None)
 
     def _end_if_quit(self, error: BaseException) -> None:
-        """Ends the run where a person has left the debugger, whatever has become of that."""
+        """Ends the run where a person has left the debugger, whatever was raised from that."""
         cause: BaseException | None = error if self._attended else None
         while cause is not None:
             if isinstance(cause, BdbQuit):
@@ -131,7 +131,7 @@ def make_plugins(config: RunConfig) -> tuple[Planner, Predictor, Traffic]:
     Raises:
         RegistryError: One of them cannot be built.
         RunError: The predictor does not predict as far as the planner looks ahead, or is shown a
-            recording to which the traffic does not keep.
+            recording that the traffic does not follow.
     """
     planner = create_planner(config.planner, config.seed, config.planner_options)
     predictor = create_predictor(config.predictor, config.seed, config.predictor_options)

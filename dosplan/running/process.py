@@ -1,11 +1,11 @@
-"""A process of its own for episodes: whatever one does to it costs that episode's row only.
+"""A separate process for episodes: an episode that harms it loses its own row only.
 
-The process is watched from outside, because an episode that hangs or eats memory may hold the
+The process is watched from outside, because an episode that hangs or uses up memory may hold the
 interpreter's lock. Three things are watched: that it takes an episode up, that the episode ends
 in time, and that its resident memory stays below a limit. Resident memory, and not a limit of the
 address space (``RLIMIT_AS``), since numerical libraries reserve far more address space than they
-use; and a limit set by the kernel would surface as an abort somewhere in a library, which tells
-nobody that it was the memory. How far memory can run past the limit is bounded by what a process
+use; and a limit set by the kernel would appear as an abort somewhere in a library, without a hint
+that memory was the cause. How far memory can run past the limit is bounded by what a process
 can touch between two looks.
 """
 
@@ -35,7 +35,7 @@ from dosplan.types import Arm
 _LOOK_EVERY: Final = 0.05  # s
 _START_SECONDS: Final = 120.0  # Within which a process must take up an episode.
 _ATTEMPTS: Final = 4  # Processes that may be lost before they take an episode up.
-_LAST_WORDS: Final = 1.0  # s for a result to arrive after its process has ended.
+_RESULT_SECONDS: Final = 1.0  # Time for a result to arrive after its process has ended.
 
 
 class _NotTakenUpError(Exception):
@@ -69,7 +69,7 @@ class EpisodeProcess:
             arm: The arm.
 
         Returns:
-            The episode's result, or a failed row that says what became of the process.
+            The episode's result, or a failed row that says how the process ended.
 
         Raises:
             RunError: No process lives long enough to take up the episode.
@@ -152,7 +152,7 @@ class EpisodeProcess:
             memory = _resident_bytes(watched)
             if memory is None:
                 gone = gone or now
-                if now - gone > _LAST_WORDS:
+                if now - gone > _RESULT_SECONDS:
                     return cause_of_death(0)  # The pool reports an end with any other code.
             elif memory > 1e6 * self._config.memory_limit:
                 return f"took more than the memory limit of {self._config.memory_limit} MB"

@@ -1,4 +1,4 @@
-"""Who is told how a run goes on: the runner reports rows, and others show or count them."""
+"""Observers of a run: the runner reports rows, and observers show or count them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Progress = Callable[[int, int], None]
 
 
 class Observer:
-    """Is told of a run's rows; this one keeps them to itself."""
+    """Receives a run's rows; this one ignores them."""
 
     def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
         """The run begins, or goes on.
@@ -42,7 +42,7 @@ class ProgressObserver(Observer):
         self._done = self._total = 0
 
     def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
-        """Tells how many an interrupted run left.
+        """Passes on how many an interrupted run left.
 
         Args:
             episodes: Number of episodes of each arm.
@@ -52,7 +52,7 @@ class ProgressObserver(Observer):
         self._progress(self._done, self._total)
 
     def add(self, row: Score) -> None:
-        """Tells that there is one more.
+        """Passes on that there is one more.
 
         Args:
             row: Its row.

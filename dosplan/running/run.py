@@ -1,7 +1,7 @@
 """Drives many episodes; whatever happens, every episode becomes a row.
 
-An episode is one scenario in one arm. Where it is driven is an ``Executor``'s business; the run
-loop hands out the episodes that have no row yet and alone writes what comes back: first the files
+An episode is one scenario in one arm. An ``Executor`` drives it; the run loop hands out the
+episodes that have no row yet and is the only one that writes what comes back: first the files
 of an episode, then its row, so that a row always has its files. A run that was killed at any
 moment is resumed by the same command. One that names more scenarios adds them to the run and drives
 what is missing. The rows end up in the order of the manifest.
@@ -64,7 +64,7 @@ def run(
 
     Args:
         config: The run.
-        observer: Is told of the rows that are there and of each that comes.
+        observer: Receives the rows that exist already and each new one.
         executor: Drives the episodes; by default, what the configuration names: its cluster, or
             its number of worker processes on this machine.
 
@@ -120,7 +120,7 @@ def _executor(config: RunConfig) -> Executor:
 
 
 def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> tuple[list[Score], list[Task]]:
-    """Puts right what a run that was killed left in the folder.
+    """Repairs what a run that was killed left in the folder.
 
     Returns:
         Its rows, and what is to be driven.
@@ -143,7 +143,7 @@ def _drive(folder: RunFolder, traffic: str, results: Results, observer: Observer
     with folder.rows.open("ab", buffering=0) as file, closing(results):
         for (ref, arm), result in results:
             _write_files(folder, ref, arm, result)
-            row = replace(result.row, traffic=traffic)  # One that never began does not know it.
+            row = replace(result.row, traffic=traffic)  # Absent where the episode never began.
             append_row(file, row)
             observer.add(row)
 
@@ -160,7 +160,7 @@ def _write_files(folder: RunFolder, ref: ScenarioRef, arm: Arm, result: EpisodeR
 
 @contextmanager
 def _held(folder: RunFolder) -> Iterator[None]:
-    """Keeps a second runner out of the folder; the system lets go when the process ends."""
+    """Keeps a second runner out of the folder; the system releases it when the process ends."""
     with exclusive(folder.lock) as alone:
         if not alone:
             raise RunError(
@@ -180,8 +180,8 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
             f"predictor {predictor.plugin.name} is shown the future, so a ranked run refuses it; "
             "--unranked allows it and marks the results"
         )
-    with redirect_stdout(sys.stderr):  # What a plug-in prints is no figure.
-        _, foreteller, _ = make_plugins(config)
+    with redirect_stdout(sys.stderr):  # Prints of a plug-in do not belong to stdout.
+        _, built_predictor, _ = make_plugins(config)
     environment = describe_environment()
     return RunManifest(
         config=config.settings,
@@ -198,7 +198,7 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
             "planner file": content_digest(source_files(planner)),
             "predictor file": content_digest(source_files(predictor)),
             "traffic file": content_digest(source_files(traffic)),
-            "weights": content_digest(foreteller.weight_files()),
+            "weights": content_digest(built_predictor.weight_files()),
             SCENARIO_FILES: content_digest(ref.path for ref in refs),
         },
         started=datetime.now(UTC).isoformat(timespec="seconds"),

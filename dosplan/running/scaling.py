@@ -88,7 +88,7 @@ def measure_scale(
         predictor: Predictor, likewise.
         scenarios: Number of suite scenarios to drive with one and with two workers.
         episodes: Number of tiny episodes that show what an episode costs the runner.
-        tell: Called with what is measured next.
+        tell: Called with the name of the next measurement.
 
     Returns:
         Figures: ``drive`` for each number of workers, ``start``, ``tiny``, ``parts`` and

@@ -31,11 +31,11 @@ CONFIGS_PER_MAP = 2
 TRAIN_MAPS_FROM = 500
 ATTEMPTS = 60
 CANDIDATES = 4
-"""Moments of one recording that are judged before the traffic is drawn anew."""
+"""Moments of one recording that are checked before the traffic is drawn anew."""
 RARE = ("crossing", "merging")
 ALL = (*RARE, "leading")
 PATIENCE = 8
-"""Simulations that are searched for what a place wants before any conflict will do."""
+"""Simulations that are searched for the wanted conflicts before any conflict is accepted."""
 DENSITIES = {"dense": (0.85, 1.1), "light": (0.4, 0.6)}
 LICENCE = "CC0-1.0"
 
@@ -75,12 +75,12 @@ class Place:
 
     @property
     def wants_rare(self) -> bool:
-        """Whether conflicts with traffic from aside are sought first: two of three."""
+        """Whether conflicts with traffic from the side are searched first: two of three."""
         return (self.index + 2 * (self.index // len(ROAD_KINDS))) % 3 != 0
 
     @property
     def wants_hard(self) -> bool:
-        """Whether what the Intelligent Driver Model solves is passed over: two of five."""
+        """Whether moments that the Intelligent Driver Model solves are left out: two of five."""
         return (self.index + 2 * (self.index // len(ROAD_KINDS))) % 5 < 2
 
     @property
@@ -89,7 +89,7 @@ class Place:
         return f"ZAM_{self.kind}-{self.map}_{self.config}_T-1"
 
     def rng(self, seed: int, *more: int) -> np.random.Generator:
-        """A generator of its own for this road kind and whatever else is named."""
+        """A separate generator for this road kind and the given numbers."""
         kind = list(ROAD_KINDS).index(self.kind)
         return np.random.default_rng([seed, SPLITS[self.split], kind, *more])
 

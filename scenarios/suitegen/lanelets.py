@@ -36,7 +36,7 @@ SAME_LINE = 0.6
 """Largest difference, m, between points of two bounds that are drawn as one."""
 
 MIN_DISTANCE = 1e-3
-"""Points nearer to each other than this are one, m."""
+"""Points nearer to each other than this are merged, m."""
 INTERSECTION_ROADS = 3
 """Roads in, from which on a junction is an intersection; merges and roundabouts have fewer."""
 
@@ -79,7 +79,7 @@ def _lane_kind(lane: Any) -> str:
 
 
 class _Converter:
-    """Collects lanelets; ``run`` is the whole of its use."""
+    """Converts a network with ``run``; collects the lanelets."""
 
     def __init__(self, net: Any) -> None:
         self.net = net

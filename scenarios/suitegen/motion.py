@@ -1,8 +1,8 @@
 """From SUMO's traces to the poses of rectangles that move like vehicles.
 
 SUMO moves the front bumper along the lane, in steps of a car-following model, and turns the body
-at will. Here the front axle follows SUMO's smoothed trace and the rear axle is dragged behind it
-(a tractrix), which is how a vehicle that steers its front wheels moves: headings, velocities and
+arbitrarily. Here the front axle follows SUMO's smoothed trace and the rear axle is dragged behind
+it (a tractrix), which is how a vehicle that steers its front wheels moves: headings, velocities and
 positions agree with each other and with the kinematic single track.
 """
 
@@ -109,7 +109,7 @@ def vehicle_motion(trace: Trace) -> Motion:
 
 
 def pedestrian_motion(trace: Trace) -> Motion:
-    """Poses of a pedestrian, who faces where they walk.
+    """Poses of a pedestrian, whose heading is the direction of motion.
 
     Args:
         trace: SUMO's trace of two steps or more.
@@ -126,7 +126,7 @@ def pedestrian_motion(trace: Trace) -> Motion:
     if len(known) == 0:
         heading = trace.heading
     else:
-        # Whoever waits goes on facing where they last walked.
+        # A waiting pedestrian keeps the last direction.
         latest = known[
             np.clip(np.searchsorted(known, np.arange(len(heading)), "right") - 1, 0, None)
         ]
@@ -135,7 +135,7 @@ def pedestrian_motion(trace: Trace) -> Motion:
 
 
 def motions(traces: tuple[Trace, ...]) -> tuple[Motion, ...]:
-    """Motions of everyone who is seen at two steps or more, in the order of the traces."""
+    """Motions of all road users seen at two steps or more, in the order of the traces."""
     return tuple(
         pedestrian_motion(trace) if trace.kind == "pedestrian" else vehicle_motion(trace)
         for trace in traces

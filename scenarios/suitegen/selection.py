@@ -1,6 +1,6 @@
 """Which vehicle becomes the ego, and when: interactive moments of a recording.
 
-These checks are quick and on the safe side; ``verdict`` has the last word.
+These checks are quick and conservative; ``verdict`` makes the final check.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ FOCUS_RADIUS = 25.0
 BRAKING = 3.0
 """Deceleration of the stop that must end short of the goal, m/s2."""
 CLEARANCE = 0.15
-"""Least distance of the recorded ego from everyone, m."""
+"""Least distance of the recorded ego from all road users, m."""
 CROSSING_ANGLE = 0.6
 """Difference of headings, rad, from which on a conflict is a crossing one."""
 MERGING_OFFSET = 1.7
-"""Distance, m, from the ego's path at which whoever merges into it begins."""
+"""Distance, m, from the ego's path at which a road user that merges into it begins."""
 EGO_SIZE = VehicleParameters().size
 MAX_ACCELERATION = 9.0
 MAX_YAW_RATE = 1.5
@@ -53,9 +53,9 @@ class Moment:
 
     Attributes:
         ego: The vehicle that is taken out.
-        others: Everyone else near it.
-        conflict: Whom constant speed hits: someone ``crossing`` its path, ``merging`` into it
-            from aside, or ``leading`` on it from the start.
+        others: The other road users near it.
+        conflict: The road user that constant speed hits: one ``crossing`` its path, ``merging``
+            into it from the side, or ``leading`` on it from the start.
         first: Step of the recording that becomes step 0.
         start: Step of the scenario at which the ego starts.
         arrival: Step of the scenario at which its recorded drive ends.
@@ -86,7 +86,7 @@ def moments(
     """Interactive moments of a recording, in random order.
 
     Args:
-        motions: Everyone in the recording.
+        motions: All road users of the recording.
         focus: See ``Road``.
         conflicts: The conflicts that are wanted, see ``Moment``.
         rng: Draws windows and their order.
@@ -165,10 +165,10 @@ def _held(states: FloatArray) -> FloatArray:
 
 
 def _conflict(ego: Motion, start: int, arrival: int, others: Sequence[Motion]) -> str:
-    """The conflict of constant speed, see ``Moment``; empty where there is none to be had.
+    """The conflict of constant speed, see ``Moment``; empty where there is no usable one.
 
-    That is where the recorded drive itself comes too close to somebody, or where constant speed
-    hits nobody, too soon to react or somebody behind the ego.
+    That is where the recorded drive itself comes too close to a road user, or where constant speed
+    has no collision, one that is too soon to react, or one with a road user behind the ego.
     """
     states = ego.window(start, arrival)
     held = _held(states)
@@ -199,7 +199,7 @@ def _conflict(ego: Motion, start: int, arrival: int, others: Sequence[Motion]) -
 
 
 def _plausible(users: Sequence[Motion], first: int, last: int) -> bool:
-    """Whether nobody overlaps, leaps or spins in the window."""
+    """Whether no road user overlaps another one, jumps or spins in the window."""
     for user in users:
         states = user.window(max(user.first, first), min(user.last, last))
         if np.abs(np.diff(states[:, 3])).max(initial=0.0) > MAX_ACCELERATION * STEP:

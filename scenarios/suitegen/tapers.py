@@ -1,4 +1,4 @@
-"""The wedge of road in which a lane that ends runs out."""
+"""The wedge of road in which a lane narrows to its end."""
 
 from __future__ import annotations
 

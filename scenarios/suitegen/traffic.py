@@ -46,7 +46,7 @@ class VehicleKind:
         accel: Acceleration, m/s2.
         decel: Comfortable deceleration, m/s2.
         max_speed: m/s.
-        speed_factor: Mean and standard deviation of the wished speed over the limit.
+        speed_factor: Mean and standard deviation of the desired speed over the limit.
     """
 
     v_class: str
@@ -157,7 +157,7 @@ def _vehicle_type(rng: Rng, root: Element, name: str, kind: str) -> tuple[float,
 
 
 def _routes(road: Road, rng: Rng) -> tuple[Element, dict[str, tuple[str, float, float]]]:
-    """SUMO's demand file, and kind, length and width of everyone in it."""
+    """SUMO's demand file, and kind, length and width of each road user in it."""
     root = Element("routes")
     users: dict[str, tuple[str, float, float]] = {}
     departures: list[tuple[float, Element]] = []
@@ -243,7 +243,7 @@ def simulate(road: Road, net: Path, folder: Path, rng: Rng) -> tuple[Trace, ...]
         rng: Draws departures and drivers.
 
     Returns:
-        Everyone seen between ``RECORD_FROM`` and ``RECORD_UNTIL``; step 0 is ``RECORD_FROM``.
+        All road users seen between ``RECORD_FROM`` and ``RECORD_UNTIL``; step 0 is ``RECORD_FROM``.
 
     Raises:
         RuntimeError: SUMO failed; its message is in the text.

@@ -1,4 +1,4 @@
-"""dosplan's own judgement of a scenario: solvable, but not by driving without thought."""
+"""dosplan's own check of a scenario: it can be solved, but not by constant speed or by braking."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def recorded_episode(scenario: Scenario, drive: FloatArray) -> Episode:
         drive: (K, 4) centre x, y, heading and velocity from the start step on.
 
     Returns:
-        An episode with zeros for the inputs, which nobody knows.
+        An episode with zeros for the inputs, which are not known.
     """
     states = np.array([VEHICLE.state_at(row[:2], row[2], row[3]) for row in drive])
     return known_drive(scenario, Arm.WITHOUT_DOS, scenario.task.start_step, states)
@@ -45,7 +45,7 @@ def _driven(scenario: Scenario, planner: Planner, predictor: Predictor) -> Score
 
 
 def collision_of_constant_speed(path: Path, drive: FloatArray, hard: bool) -> str | None:
-    """Judges a scenario.
+    """Checks a scenario.
 
     Args:
         path: The file.
@@ -53,9 +53,10 @@ def collision_of_constant_speed(path: Path, drive: FloatArray, hard: bool) -> st
         hard: Whether to reject what the Intelligent Driver Model solves, too.
 
     Returns:
-        Whom an ego hits that holds its speed along the route, and when; None where the
-        scenario is to be rejected: the recorded drive does not succeed or scrapes the edge of
-        the road, constant speed hits nobody or at once, or braking to a stop succeeds.
+        The road user that an ego at constant speed along the route hits, and when; None where
+        the scenario is to be rejected: the recorded drive does not succeed or comes too close to
+        the edge of the road, constant speed has no collision or one at once, or braking to a stop
+        succeeds.
     """
     scenario = load_scenario(path)
     recorded = score(scenario, recorded_episode(scenario, drive))

@@ -334,7 +334,7 @@ def test_a_scenario_is_drawn_as_recorded_or_driven_first(
         (["RUN:ZAM_Test-0_1_T-1", "--planner", "idm"], "are for a scenario, not for a run"),
         (["RUN:ZAM_Test-0_1_T-1", "--seed", "1"], "are for a scenario, not for a run"),
         (["http://127.0.0.1:9/x.xml"], "127.0.0.1:9/x.xml: cannot be reached"),
-        (["ZAM_Test-0_1_T-1", "--arm", "with_dos"], "which nobody has driven"),
+        (["ZAM_Test-0_1_T-1", "--arm", "with_dos"], "which was not driven"),
         (["RUN:ZAM_Test-0_1_T-1", "--time", "1.5"], "no picture at 1.5 s: it lasts 1.0 s"),
         (["RUN:ZAM_Test-0_1_T-1", "--time", "-1"], "no picture at -1 s"),
         (["RUN:ZAM_Test-0_1_T-1", "--time", "nan"], "no picture at nan s"),

@@ -22,7 +22,7 @@ from dosplan.report.film.scene import ARM_COLOURS
 from dosplan.report.html import page
 from dosplan.report.html.cases import Case, change_of
 from dosplan.report.html.codec import METRE, differences, pack, polyline
-from dosplan.report.html.coverage import foretold, sets_met, total
+from dosplan.report.html.coverage import predictions_of, sets_met, total
 from dosplan.report.html.player import encode_episode
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.html.scenarios import families
@@ -45,7 +45,7 @@ HOSTILE = "ZAM_</script><img src=x onerror=alert(1)>-1_1_T-1"
 
 
 def _recording(arm: Arm, centres: FloatArray, semi_axes: FloatArray, angle: float) -> Recording:
-    """One cycle at step 40 that foretells one road user 5 and 10 steps ahead."""
+    """one cycle at step 40 that predicts one road user 5 and 10 steps ahead."""
     states = np.zeros((3, 5))
     return Recording(
         scenario_id="s",
@@ -168,9 +168,9 @@ def test_who_is_in_a_set_is_told_exactly() -> None:
             (5, int(held), 1),
             (10, 0, 1),
         ]
-        (told,) = foretold(met, user=100, step=45)
-        assert told.held is held
-        assert told.miss == pytest.approx(np.hypot(along, across))
+        (prediction,) = predictions_of(met, user=100, step=45)
+        assert prediction.held is held
+        assert prediction.miss == pytest.approx(np.hypot(along, across))
 
 
 def test_points_are_no_sets_but_have_a_miss() -> None:
@@ -178,9 +178,9 @@ def test_points_are_no_sets_but_have_a_miss() -> None:
     centres = np.array([[67.0, 0.0], [70.0, 0.0]])
     met = sets_met(_recording(Arm.WITHOUT_DOS, centres, np.zeros((2, 2)), 0.0), tracks, 2)
     assert total([met]) == []
-    (told,) = foretold(met, user=100, step=45)
-    assert told.held is None
-    assert told.miss == pytest.approx(1.0)
+    (prediction,) = predictions_of(met, user=100, step=45)
+    assert prediction.held is None
+    assert prediction.miss == pytest.approx(1.0)
 
 
 def test_what_was_predicted_after_the_drive_does_not_count() -> None:

@@ -1,6 +1,6 @@
 """The paper's figures, drawn from published results: each a module with a function ``draw``.
 
-What is here is names alone, so that listing them imports no matplotlib.
+Only names are here, so that listing them imports no matplotlib.
 """
 
 from __future__ import annotations

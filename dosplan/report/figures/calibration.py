@@ -1,7 +1,7 @@
 """Calibration: the coverage that sets reach over the coverage that they were asked for.
 
-A Gaussian's ellipse at z standard deviations holds 1 - exp(-z^2 / 2) of it, which makes the
-method PR a claim on coverage as well; it is drawn beside the calibrated sets.
+A Gaussian's ellipse at z standard deviations holds 1 - exp(-z^2 / 2) of it, so the method PR has a
+nominal coverage as well; it is drawn beside the calibrated sets.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the planner makes of the sets: outcomes and velocity of both arms, with intervals."""
+"""Planning with and without sets: outcomes and velocity of both arms, with intervals."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def draw(published: Published) -> Figure:
         speeds = {arm: metric_interval(find_metric("velocity"), arms[arm]) for arm in arms}
         velocities = {arm: [found] for arm, found in speeds.items() if found is not None}
         if len(velocities) < len(arms):
-            raise FileError(f"{published.path / run} holds an arm in which nobody drove a step")
+            raise FileError(f"{published.path / run} holds an arm in which no step was driven")
         _shares(good, arms, GOOD)
         _shares(bad, arms, BAD)
         _intervals(speed, velocities, [""])

@@ -1,4 +1,4 @@
-"""What the representations look like: the sets of each, and of PR, in one scene of the suite."""
+"""The representations: the sets of each, and of PR, in one scene of the suite."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def draw(published: Published) -> Figure:
     """Draws the figure with the weights that are installed.
 
     Args:
-        published: The results, which this figure does without.
+        published: The results; not used in this figure.
 
     Returns:
         A figure of a page's width.
@@ -65,7 +65,7 @@ def draw(published: Published) -> Figure:
     panels = figure.subplots(rows, _COLUMNS)
     for axes, (title, options) in zip(panels.flat, METHODS.items(), strict=True):
         _draw_scene(axes, scenario)
-        _draw_sets(axes, foresee(scenario, options))
+        _draw_sets(axes, predicted_sets(scenario, options))
         axes.set_title(title)
     _draw_scale(panels[0, 0])
     colours = ScalarMappable(Normalize(0.0, STEPS * STEP_SECONDS), SET_COLOURS)
@@ -78,7 +78,7 @@ def draw(published: Published) -> Figure:
     return figure
 
 
-def foresee(scenario: Scenario, options: dict[str, Any]) -> Occupancy:
+def predicted_sets(scenario: Scenario, options: dict[str, Any]) -> Occupancy:
     """The sets of a method in the figure's scene.
 
     Args:
@@ -98,7 +98,7 @@ def _step(scenario: Scenario) -> int:
 
 
 def _draw_scene(axes: Axes, scenario: Scenario) -> None:
-    """The road, everyone on it, and where they went."""
+    """The road, the road users on it, and their recorded paths."""
     draw_map(axes, scenario)
     tracks, now = scenario.tracks, _step(scenario)
     Users(axes, tracks, KIND_COLOURS, zorder=5).show_step(now)

@@ -1,7 +1,7 @@
-"""One look for all figures: sized for the columns of a paper, readable there, colour-blind safe.
+"""One style for all figures: sized for the columns of a paper, and safe for the colour-blind.
 
-Colours are those of Okabe and Ito ("Color Universal Design", 2008); no figure tells two things
-apart by colour alone.
+Colours are those of Okabe and Ito ("Color Universal Design", 2008); no figure distinguishes two
+things by colour alone.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _STYLE: Final = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Has figures that are drawn and saved in the block look alike.
+    """Gives all figures that are drawn and saved in the block the same style.
 
     Yields:
         Nothing.

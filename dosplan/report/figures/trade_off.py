@@ -1,4 +1,4 @@
-"""Coverage over area of every method: what a parameter trades, and which method trades best."""
+"""Coverage over area of every method, and the trade-off between both along a parameter."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Curve:
     """Methods that differ in one parameter.
 
     Attributes:
-        title: What the legend calls them.
+        title: Their name in the legend.
         labels: Their labels, by rising parameter.
         look: How they are drawn.
     """

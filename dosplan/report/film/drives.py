@@ -25,13 +25,13 @@ from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Scenario,
 
 @dataclass(frozen=True)
 class Take:
-    """What a panel shows.
+    """The content of a panel.
 
     Attributes:
         name: Its heading.
         colour: Colour of the ego.
         scenario: The scene.
-        row: The row, or None where nobody drove: the ego stands at its start.
+        row: The row, or None where nothing was driven: the ego stands at its start.
         drive: The drive, or None where there is none.
     """
 
@@ -43,7 +43,7 @@ class Take:
 
     @property
     def tracks(self) -> Tracks:
-        """The road users: as they were driven, or as recorded where nobody drove."""
+        """The road users: as they were driven, or as recorded where nothing was driven."""
         return self.scenario.tracks if self.drive is None else self.drive.tracks
 
     @property
@@ -53,7 +53,7 @@ class Take:
 
     @property
     def end(self) -> int:
-        """Step of the last picture: the end of the drive, or of the task where nobody drives."""
+        """Step of the last picture: the end of the drive, or else of the task."""
         if self.drive is not None:
             return self.start + self.drive.row.steps
         task, recorded = self.scenario.task, self.tracks.steps - 1
@@ -63,7 +63,7 @@ class Take:
 
     @property
     def moment(self) -> int:
-        """Step that decided the outcome; the first one where nobody drove."""
+        """Step that decided the outcome; the first one where nothing was driven."""
         return self.start if self.drive is None else self.drive.decisive_step
 
     @property
@@ -76,7 +76,7 @@ class Take:
 
     @property
     def verdict(self) -> str:
-        """What became of it, in words; empty where nobody drove."""
+        """The outcome in words; empty where nothing was driven."""
         if self.row is None:
             return ""
         words = self.row.outcome.value.replace("_", " ")
@@ -154,13 +154,13 @@ def takes_of_drive(
         RegistryError: There is no such plug-in.
         ScenarioError: The scenario cannot be read.
     """
-    driver, foreteller = create_planner(planner, seed), create_predictor(predictor, seed)
+    driver, prediction = create_planner(planner, seed), create_predictor(predictor, seed)
     scenario = load_scenario(ref)
     takes = []
     for arm in (arm for arm in ARMS_SIDE_BY_SIDE if arm in arms):
-        drive = Drive.of(scenario, run_episode(scenario, driver, foreteller, arm))
+        drive = Drive.of(scenario, run_episode(scenario, driver, prediction, arm))
         takes.append(_take(scenario, drive.row, drive))
-    return takes, _title(ref.id, driver.name, foreteller.name)
+    return takes, _title(ref.id, driver.name, prediction.name)
 
 
 def takes_of_scenario(ref: ScenarioRef) -> Takes:

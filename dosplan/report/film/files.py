@@ -19,13 +19,13 @@ from dosplan.system.files import FileError, atomic_file, write_bytes
 from dosplan.types import STEP_SECONDS
 
 LAST_SECONDS: Final = 2.0
-"""For so long the last picture of a film stands, so that the outcome can be read."""
+"""Time for which the last picture of a film is shown, s, so that the outcome can be read."""
 
-_SHARP: Final = 2.0  # Pictures and videos have so many pixels for one of a GIF.
+_SHARP: Final = 2.0  # Pixels of pictures and videos for each pixel of a GIF.
 _SAMPLES: Final = 6
 _SHADES: Final = 8
-_ALIKE: Final = 6  # Levels; colours that are so near to a key colour become it.
-_SWATCH: Final = 40  # Pixels; what a key colour counts among the colours of the pictures.
+_ALIKE: Final = 6  # Levels; colours that differ from a key colour by no more are replaced by it.
+_SWATCH: Final = 40  # Pixels; the weight of a key colour among the colours of the pictures.
 
 
 def write_gif(takes: Sequence[Take], title: str, out: Path) -> None:

@@ -49,7 +49,7 @@ class Film:
         Args:
             takes: What is shown, side by side: one take or two of one scenario.
             title: A line above it all.
-            scale: Pixels of a picture's pixel: 2 is as large again, and as sharp.
+            scale: Factor on the number of pixels along each side.
         """
         framing = frame_scene(
             [take.ego[:, :2] for take in takes], takes[0].scenario, stand=takes[0].row is None

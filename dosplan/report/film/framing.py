@@ -1,4 +1,4 @@
-"""What of a scene a picture shows, and where its parts go: all in pixels."""
+"""The view of a scene that a picture shows, and the layout of its parts, in pixels."""
 
 from __future__ import annotations
 
@@ -11,21 +11,23 @@ import numpy as np
 from dosplan.types import FloatArray, Scenario
 
 _MARGIN: Final = 18.0  # m around the drives.
-_LEAST: Final = 55.0  # The longer side of a panel shows so many metres at least.
-_COARSEST: Final = 4.0  # Pixels for a metre; where a drive needs fewer, the ego is followed
-_FOLLOWED: Final = 6.0  # with so many.
+_LEAST: Final = 55.0  # m; the longer side of a panel shows at least this.
+_COARSEST: Final = 4.0  # Pixels for a metre; where a drive needs fewer, the view follows the ego
+_FOLLOWED: Final = 6.0  # with this many.
 _ONE: Final = 800
 _TWO: Final = 960
 _GAP: Final = 8
 _TITLE: Final = 20
 _HEADING: Final = 24
 _LEGEND: Final = 44
-_LONG: Final = 1.7  # A drive that is so much wider than high is shown above the other one.
+_LONG: Final = (
+    1.7  # Drives whose width is more than this times their height are shown above each other.
+)
 
 
 @dataclass(frozen=True)
 class Framing:
-    """Where everything is.
+    """The layout of a picture.
 
     Attributes:
         size: Width and height of the picture, pixels; both even.
@@ -56,8 +58,8 @@ def frame_scene(drives: Sequence[FloatArray], scenario: Scenario, stand: bool) -
 
     Args:
         drives: (K, 2) centres of each ego, m; one for each panel.
-        scenario: What they were driven in.
-        stand: Whether nobody drives: then the goal is in the view as well.
+        scenario: The scenario.
+        stand: Whether nothing is driven: then the goal is in the view as well.
 
     Returns:
         The framing.

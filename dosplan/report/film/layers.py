@@ -29,7 +29,7 @@ _POINT: Final = 14.0  # Area of a predicted position, square points.
 
 
 class Bodies:
-    """Bodies seen from above, each with an arrow head: it tells where they are heading."""
+    """Bodies seen from above, each with an arrow head in the direction of its heading."""
 
     def __init__(self, axes: Axes, zorder: float, line: float = 0.4) -> None:
         """Makes the artists; nobody is shown yet.
@@ -96,10 +96,10 @@ class Users(Bodies):
         self._tracks, self._colours = tracks, colours
 
     def show_step(self, step: int, marked: Mapping[int, str] | None = None) -> None:
-        """Shows whoever is on the scene.
+        """Shows the road users on the scene.
 
         Args:
-            step: Step of the recording; once that is over nobody is left.
+            step: Step of the recording; after its end, the scene is empty.
             marked: Colour of a thick outline, by id of the road user.
         """
         tracks = self._tracks
@@ -166,11 +166,11 @@ class Sets:
 
 
 def on_scene(tracks: Tracks, step: int) -> IntArray:
-    """Finds who is there.
+    """Finds the road users on the scene.
 
     Args:
         tracks: The recording.
-        step: A step; once the recording is over nobody is left.
+        step: A step; after the end of the recording, the scene is empty.
 
     Returns:
         Indices of the road users.

@@ -36,7 +36,9 @@ USER_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
 _GOOD, _BAD = "#2e7d32", "#c4161c"
 _SET_METRES: Final = 40.0  # Sets of road users that are farther from the ego are left out.
 _BAR: Final = 20.0  # m
-_AHEAD: Final = 0.4  # Of the way to the border: more road is in view before the ego than behind.
+_AHEAD: Final = (
+    0.4  # Share of the way to the border: more road is in view before the ego than behind.
+)
 _TEXT: Final = 11.0  # Points.
 
 
@@ -92,7 +94,7 @@ class Panel:
         return True
 
     def show(self, step: int) -> None:
-        """Moves what moves.
+        """Updates what moves.
 
         Args:
             step: A step; a drive that is over stands still.

@@ -1,4 +1,4 @@
-"""Scenario by scenario: what each side did, why it ended so, and what the page draws of it."""
+"""The scenarios of a page: the outcome of each side, its cause, and what the page draws."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from dosplan.explain.goal import goal_facts
 from dosplan.report.html.codec import pack
-from dosplan.report.html.coverage import Foretold, SetsMet, foretold, sets_met
+from dosplan.report.html.coverage import Prediction, SetsMet, predictions_of, sets_met
 from dosplan.report.html.player import encode_episode
 from dosplan.report.html.scenarios import families
 from dosplan.report.html.sides import Pairing
@@ -47,16 +47,16 @@ _LOOK_BACK: Final = (1.0, 2.0)  # s before a contact.
 
 @dataclass(frozen=True)
 class Case:
-    """A scenario with what each side made of it.
+    """A scenario with the results of each side.
 
     Attributes:
         scenario: Its id.
         family: Where it comes from.
-        road_kind: What road it is of.
+        road_kind: Its kind of road.
         change: What the second side changed: ``fixed``, ``broken``, ``both failed``, ``both
             succeeded``; for one side ``failed`` or ``succeeded``.
         rows: The row of each side.
-        why: For each side, what the outcome came from.
+        why: For each side, the cause of the outcome.
         met: The sets that each side met, or None where that is not known.
         cycle_ms: Times of the planning cycles of each side, ms.
         thumbnail: See ``dosplan.report.html.thumbnails``.
@@ -76,7 +76,7 @@ class Case:
 
 
 def examine(pairing: Pairing) -> Iterator[Case]:
-    """Looks at every scenario of a pairing, those that differ first, then those that failed.
+    """Examines every scenario of a pairing, those that differ first, then those that failed.
 
     Args:
         pairing: What is set beside what.
@@ -91,7 +91,7 @@ def examine(pairing: Pairing) -> Iterator[Case]:
 
 
 def change_of(rows: Sequence[Score]) -> str:
-    """Says in a word what became of a scenario.
+    """Says in a word how the outcomes of a scenario differ.
 
     Args:
         rows: The row of each side.
@@ -158,7 +158,7 @@ def _met(drive: Drive) -> SetsMet | None:
 
 
 def _why(row: Score, met: SetsMet | None, drive: Drive | None) -> str:
-    """A line on what the outcome came from, as far as row and recording tell."""
+    """A line on the cause of the outcome, as far as row and recording show it."""
     if row.outcome is Outcome.PLANNER_FAILURE:
         return row.error or "no plan and no fallback"
     seconds = None if drive is None else drive.seconds(drive.decisive_step)
@@ -177,22 +177,22 @@ def _why(row: Score, met: SetsMet | None, drive: Drive | None) -> str:
     fault = "at fault" if row.at_fault else "not at fault"
     said = ""
     if met is not None and row.collision_step is not None:
-        said = _said(foretold(met, row.collision_with, row.collision_step))
+        said = _said(predictions_of(met, row.collision_with, row.collision_step))
     return f"{how.format(user)}{when}; {fault}{said}"
 
 
 def _missed(drive: Drive) -> str:
-    """By how much the goal was missed that the drive came nearest to."""
+    """By how much the drive missed the goal to which it came nearest."""
     nearest = min(goal_facts(drive), key=lambda facts: (facts.distance, abs(facts.late)))
     return "; ".join(line.partition(": ")[2] for line in nearest.lines())
 
 
-def _said(predictions: Sequence[Foretold]) -> str:
+def _said(predictions: Sequence[Prediction]) -> str:
     """What had been predicted of the road user for the moment of the contact."""
     parts = []
-    for told in predictions:
-        seconds = round(told.offset * STEP_SECONDS, 3)
+    for prediction in predictions:
+        seconds = round(prediction.offset * STEP_SECONDS, 3)
         if seconds in _LOOK_BACK:
-            verdict = {True: "set held it, ", False: "set missed it, ", None: ""}[told.held]
-            parts.append(f"{seconds:g} s before: {verdict}predicted {told.miss:.1f} m off")
+            verdict = {True: "set held it, ", False: "set missed it, ", None: ""}[prediction.held]
+            parts.append(f"{seconds:g} s before: {verdict}predicted {prediction.miss:.1f} m off")
     return "".join(f"; {part}" for part in parts)

@@ -1,7 +1,7 @@
-"""Numbers made small enough for a page: whole multiples of a grain, then differences, then gzip.
+"""Compresses numbers for a page: whole multiples of a grain, then differences, then gzip.
 
-What moves smoothly has small second differences, and gzip stores small numbers that repeat in a few
-bits each. ``static/codec.js`` is the way back.
+Smooth motion has small second differences, and gzip stores small numbers that repeat in a few
+bits each. ``static/codec.js`` decodes them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def differences(values: npt.ArrayLike, grain: float, order: int) -> list[int]:
 
     Args:
         values: (K,) finite numbers.
-        grain: What a unit stands for.
+        grain: Value of a unit.
         order: How often neighbours are subtracted; the first of each round stays as it is, so
             that as many cumulative sums give the multiples back.
 

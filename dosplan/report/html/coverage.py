@@ -43,7 +43,7 @@ class SetsMet:
 
 
 @dataclass(frozen=True)
-class Foretold:
+class Prediction:
     """What was predicted of a road user for a moment.
 
     Attributes:
@@ -64,7 +64,7 @@ class Coverage:
     Attributes:
         offset: Steps ahead.
         inside: Sets of moving road users that held the true centre.
-        counted: Sets of moving road users that could be judged.
+        counted: Sets of moving road users whose true centre is known.
         all_inside: The same for all road users, standing ones too.
         all_counted: Likewise.
     """
@@ -77,7 +77,7 @@ class Coverage:
 
 
 def sets_met(recording: Recording, tracks: Tracks, driven: int) -> SetsMet:
-    """Judges the sets that were met during the scored drive.
+    """Compares the sets that were met during the scored drive with the truth.
 
     Args:
         recording: The episode.
@@ -85,7 +85,7 @@ def sets_met(recording: Recording, tracks: Tracks, driven: int) -> SetsMet:
         driven: Number of steps of the scored drive.
 
     Returns:
-        The verdicts, of the cycles of that drive.
+        The comparisons, of the cycles of that drive.
     """
     step = recording.cycle_steps[recording.set_cycle]
     kept = step < recording.start_step + driven
@@ -111,13 +111,13 @@ def sets_met(recording: Recording, tracks: Tracks, driven: int) -> SetsMet:
 
 
 def total(met: Iterable[SetsMet]) -> list[Coverage]:
-    """Adds up the verdicts of several episodes.
+    """Adds up the hits of several episodes.
 
     Args:
-        met: The verdicts of each.
+        met: The sets of each, compared with the truth.
 
     Returns:
-        One entry for each horizon at which a set was judged, ascending.
+        One entry for each horizon at which a set was counted, ascending.
     """
     sums: dict[int, IntArray] = {}
     for episode in met:
@@ -143,7 +143,7 @@ def total(met: Iterable[SetsMet]) -> list[Coverage]:
     ]
 
 
-def foretold(met: SetsMet, user: int, step: int) -> list[Foretold]:
+def predictions_of(met: SetsMet, user: int, step: int) -> list[Prediction]:
     """Looks up what was predicted of a road user for a moment.
 
     Args:
@@ -160,7 +160,7 @@ def foretold(met: SetsMet, user: int, step: int) -> list[Foretold]:
         made = (met.ids == user) & (met.step == step - offset) & np.isfinite(met.miss[:, column])
         for row in np.flatnonzero(made):
             held = bool(met.inside[row, column]) if met.counted[row, column] else None
-            answer.append(Foretold(offset, float(met.miss[row, column]), held))
+            answer.append(Prediction(offset, float(met.miss[row, column]), held))
     return answer
 
 

@@ -1,7 +1,7 @@
 """The static plots, drawn by matplotlib into SVG that takes its colours from the page.
 
-matplotlib, and not a library in the page: it is what the project draws with anyway, it is well
-kept, its SVG needs no script, and a page of plots is some ten kilobytes each. Colours are drawn as
+matplotlib is used, and no library in the page: the project draws with it anyway, it is well
+maintained, its SVG needs no script, and a plot takes some ten kilobytes. Colours are drawn as
 placeholders and then replaced by the page's CSS variables, so that plots follow light and dark.
 """
 

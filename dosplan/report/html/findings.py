@@ -92,7 +92,7 @@ def answer(pairing: Pairing) -> str:
 
 
 def grounds(pairing: Pairing) -> list[str]:
-    """Says what the answer rests on, and what failed.
+    """Gives the grounds of the answer, and what failed.
 
     Args:
         pairing: What is set beside what.
@@ -100,15 +100,17 @@ def grounds(pairing: Pairing) -> list[str]:
     Returns:
         Sentences.
     """
-    told = []
+    sentences = []
     if pairing.comparison is not None:
         metric, success = find_metric("success"), pairing.comparison.differences["success"]
         verdict = "more than chance brings about" if _beyond_chance(success) else "may be chance"
-        told.append(
+        sentences.append(
             f"The difference in success is {metric.shown(success.difference, '+')} points (95 % "
             f"interval {interval_text(metric, success)}; McNemar p = {success.p:.2g}): {verdict}."
         )
-    return told + [f"Failed {_name(side.name)}: {_failures(side)}." for side in pairing.sides[::-1]]
+    return sentences + [
+        f"Failed {_name(side.name)}: {_failures(side)}." for side in pairing.sides[::-1]
+    ]
 
 
 def _succeeded(side: Side) -> int:
@@ -120,7 +122,7 @@ def _beyond_chance(figure: Difference) -> bool:
 
 
 def _failures(side: Side) -> str:
-    """How often each outcome but success came about, the worst ones first."""
+    """How often each outcome other than success occurred, the worst ones first."""
     counts = Counter(row.outcome for row in side.rows.values())
     at_fault = sum(row.at_fault for row in side.rows.values())
     words = []
@@ -132,7 +134,7 @@ def _failures(side: Side) -> str:
 
 
 def shortcuts(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, str]]:
-    """Ways from the result to the scenarios that made it.
+    """Filters from the result to the scenarios behind it.
 
     Args:
         cases: The cases.
@@ -180,7 +182,7 @@ def groups(cases: Sequence[Case], key: Callable[[Case], str], sides: int) -> lis
 
 
 def coverage_rows(cases: Sequence[Case], side: int) -> list[dict[str, Any]]:
-    """Sets the coverage that a side met beside its collisions.
+    """Tabulates the coverage that a side met beside its collisions.
 
     Args:
         cases: The cases.

@@ -1,12 +1,12 @@
-"""Assembles a page: one HTML file that holds its data, style and script and asks nobody for more.
+"""Assembles a page: one HTML file that holds its data, style and script and loads nothing else.
 
 The page's text is filled in by Jinja2, which escapes whatever comes from files; what the script
 shows comes from one block of JSON and reaches the page as text only. A content security policy
 allows this one script, by its hash, and no connection.
 
-The table of scenarios and the player are the page's own few hundred lines of script: what they need
-of a library (sorting and filtering a few hundred rows, drawing polygons) the browser has, and one
-that does it would be several times the size of everything else.
+The table of scenarios and the player are a few hundred lines of the page's own script: the browser
+can sort and filter a few hundred rows and draw polygons, and a library for that would be several
+times the size of everything else.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def build_page(
         facts: What was run, line by line: name and value.
         pairings: What is shown, in order.
         links: Further pages: addresses by their text.
-        lead: What a reader has to know first.
+        lead: Text at the beginning.
 
     Returns:
         The HTML.
@@ -148,7 +148,7 @@ def _values(metric: Metric, pairing: Pairing) -> dict[str, FloatArray]:
 
 
 def _notes(examined: Sequence[tuple[Pairing, Sequence[Case]]]) -> list[str]:
-    """What a reader has to know of what is missing."""
+    """Notes on what is missing in the page."""
     notes = []
     for pairing, cases in examined:
         if pairing.scenes.problem is not None:

@@ -1,7 +1,7 @@
 """One scenario with the drives of its sides, as the player and the thumbnails draw it.
 
-What is kept is what an eye can use: the map and the road users near the drives, the sets of the
-road users that came nearest, plans by the half second. Everything is relative to an origin
+Only what can be seen is kept: the map and the road users near the drives, the sets of the
+road users that came nearest, plans at every half second. Everything is relative to an origin
 beside the ego's start. The scored drive ends at a contact or at the goal, and so does
 what is shown.
 """

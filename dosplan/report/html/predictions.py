@@ -89,7 +89,7 @@ def _predictions(
 
 
 def _agree(ours: _Predictions, theirs: _Predictions) -> bool:
-    """Whether two sides were told the same, as far as both were told anything."""
+    """Whether two sides had the same predictions, where both had any."""
     if ours.offsets != theirs.offsets:
         return False
     common = ours.sets.keys() & theirs.sets.keys()

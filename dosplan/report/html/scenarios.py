@@ -1,4 +1,4 @@
-"""The scenario files of a run, as far as they are still there, and what they are grouped by."""
+"""The scenario files of a run, as far as they still exist, and the groups of scenarios."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ SMALLEST_FAMILY: Final = 4
 
 @dataclass(frozen=True)
 class Scenes:
-    """Where a run's scenarios are to be had.
+    """The scenario files of a run.
 
     Attributes:
         refs: The files by id; those that were not found are left out.
@@ -96,7 +96,7 @@ def find_scenes(source: Source, cached: bool) -> Scenes:
 
 
 def families(scenarios: Sequence[str]) -> dict[str, str]:
-    """Sorts scenarios by where they come from, as their ids tell.
+    """Sorts scenarios by where they come from, according to their ids.
 
     Args:
         scenarios: Ids, such as ``USA_Lanker-2_25_T-1``.

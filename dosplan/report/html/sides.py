@@ -1,4 +1,4 @@
-"""What a page is about: one arm of a run, or two that are laid over each other."""
+"""The sides of a page: one arm of a run, or two that are compared."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Side:
     """One arm of one run.
 
     Attributes:
-        name: What the page calls it.
+        name: Its name in the page.
         folder: The run folder.
         rows: Its rows by scenario.
         arm: The arm.
@@ -46,10 +46,10 @@ class Side:
 
 @dataclass(frozen=True)
 class Pairing:
-    """What is drawn and listed together.
+    """The sides that are drawn and listed together.
 
     Attributes:
-        title: What is set beside what.
+        title: What is compared.
         sides: One side, or two: the second is compared with the first.
         comparison: The second against the first; None for one side.
         scenarios: Ids of the scenarios, in the run's order.

@@ -16,7 +16,7 @@ WIDTH: Final = 96
 HEIGHT: Final = 56
 _INSET: Final = 8.0
 _POINTS: Final = 16
-_LEAST_METRES: Final = 20.0  # A standing ego is not blown up.
+_LEAST_METRES: Final = 20.0  # Smallest view, so that a standing ego is not magnified.
 
 
 def thumbnail(scene: Scenario | None, drives: Sequence[Drive | None]) -> dict[str, Any]:

@@ -81,8 +81,8 @@ def write_comparison(specs: Sequence[str], out: Path) -> Path:
         title = ", ".join(f"{side.name}: {ARM_TITLES[side.arm]}" for side in sides)
         pairings.append(_pairing(title, sides, manifests[0], None))
         for side, manifest in zip(sides, manifests, strict=True):
-            told = ", ".join(_facts(manifest).values())
-            facts[f"Run {side.name}"] = f"{side.folder.path}: {told}"
+            listed = ", ".join(_facts(manifest).values())
+            facts[f"Run {side.name}"] = f"{side.folder.path}: {listed}"
             if side.folder.report.is_file():
                 links[f"Report of run {side.name}"] = _address(side.folder.report, out)
     lead = _lead({side.arm for pair in pairs for side in pair})
@@ -91,7 +91,7 @@ def write_comparison(specs: Sequence[str], out: Path) -> Path:
 
 
 def _lead(arms: Container[Arm]) -> str:
-    """What the arms are, for a reader who knows nothing but the method."""
+    """Describes the arms, for a reader who knows the method only."""
     return " ".join(text for arm, text in _ARM_TEXTS.items() if arm in arms)
 
 

@@ -1,6 +1,6 @@
 """The file of one episode: what was driven, planned and predicted, for players and re-scoring.
 
-A compressed ``.npz`` of plain arrays (nothing is pickled). These are exact, as rows need them:
+A compressed ``.npz`` of plain arrays (nothing is pickled). These are kept exactly, for scoring:
 the driven states and inputs, the road users as they were driven, cycle times and what the solver
 said, so that an episode can be scored again. Plans and predictions, which are many, are kept
 relative to the ego's start in single precision, rounded to 1/64 m and 1/64 rad, for the road users

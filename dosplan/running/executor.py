@@ -49,9 +49,9 @@ class SerialExecutor:
     """Drives one episode after another in the process that calls, so that a debugger can stop it.
 
     What a plug-in raises becomes a row, as everywhere. But an episode that hangs, crashes or
-    uses up memory does so to the whole run: neither ``episode_timeout`` nor ``memory_limit`` is watched.
-    Standard input and output are the plug-in's, and the global random generators are seeded for
-    each episode.
+    uses up memory does so to the whole run: neither ``episode_timeout`` nor ``memory_limit`` is
+    watched. Standard input and output are the plug-in's, and the global random generators are
+    seeded for each episode.
 
     The rows are those of worker processes to the last bit where this process started with
     ``dosplan.system.workers.WORKER_ENVIRONMENT``: numerical libraries and Python read their number

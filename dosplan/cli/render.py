@@ -25,6 +25,7 @@ examples:
   dosplan render runs/mine:ZAM_Weaving-2_1_T-1 --out weaving.png       the moment of the outcome
   dosplan render runs/mine:ZAM_Weaving-2_1_T-1 --out frames/f.png --frames
   dosplan render ZAM_Weaving-2_1_T-1 --out traffic.gif                 the recorded traffic alone
+  dosplan render my/map.xml --out map.png                              no planning problem needed
   dosplan render my/scenario.xml --planner idm --out idm.gif           drives it first
 """
 
@@ -133,13 +134,12 @@ def _takes(options: argparse.Namespace) -> Takes:
     from dosplan.types import Arm
 
     arms = (Arm(options.arm),) if options.arm else tuple(Arm)
-    run, colon, scenario = options.what.rpartition(":")
-    if colon and "://" not in options.what and not Path(options.what).exists():
+    if (episode := _episode(options.what, options.source)) is not None:
         if options.planner or options.predictor or options.seed:
             raise CommandError(
                 "--planner, --predictor and --seed are for a scenario, not for a run"
             )
-        return takes_of_run(Path(run), scenario, arms, options.source)
+        return takes_of_run(*episode, arms, options.source)
     if options.planner:
         predictor = options.predictor or "dos"
         return takes_of_drive(_scenario(options), options.planner, predictor, arms, options.seed)
@@ -149,6 +149,17 @@ def _takes(options: argparse.Namespace) -> Takes:
             "episode as RUN:ID"
         )
     return takes_of_scenario(_scenario(options))
+
+
+def _episode(what: str, source: str | None) -> tuple[Path, str] | None:
+    """Run folder and id where RUN:ID is meant; ids may hold colons, too."""
+    if ":" not in what or "://" in what or Path(what).exists():
+        return None
+    for end in (index for index, letter in enumerate(what) if letter == ":"):
+        if Path(what[:end]).is_dir():
+            return Path(what[:end]), what[end + 1 :]
+    run, _, scenario = what.rpartition(":")
+    return (Path(run), scenario) if source is None else None
 
 
 def _scenario(options: argparse.Namespace) -> ScenarioRef:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from dosplan.scenario.commonroad.document import ScenarioError, read_file
+from dosplan.scenario.commonroad.document import ScenarioError, read_document, read_file
 from dosplan.scenario.sources.catalogue import ScenarioRef, find_scenarios
 from dosplan.types import Scenario
 
@@ -12,6 +12,7 @@ __all__ = [
     "ScenarioError",
     "ScenarioRef",
     "find_scenarios",
+    "has_problem",
     "load_recording",
     "load_scenario",
     "parse_scenario",
@@ -49,7 +50,7 @@ def load_recording(ref: ScenarioRef | str | Path) -> Scenario:
     """Reads an episode of which only the road users matter.
 
     Unlike ``load_scenario`` it takes files without a planning problem: their ego stands where the
-    map's first lanelet begins. What is predicted does not depend on the ego.
+    map's first lanelet for cars begins. What is predicted does not depend on the ego.
 
     Args:
         ref: The episode, or a file that holds one planning problem or none.
@@ -62,6 +63,22 @@ def load_recording(ref: ScenarioRef | str | Path) -> Scenario:
     """
     ref = ref if isinstance(ref, ScenarioRef) else ScenarioRef(Path(ref), "")
     return parse_scenario(ref, read_file(ref.path), ego_optional=True)
+
+
+def has_problem(ref: ScenarioRef) -> bool:
+    """Whether a file holds a planning problem; without one it is a map or a recording alone.
+
+    Args:
+        ref: An episode of the file.
+
+    Returns:
+        Whether there is one.
+
+    Raises:
+        ScenarioError: The file is not a CommonRoad scenario that can be used.
+    """
+    document = read_document(ref.path, read_file(ref.path))
+    return document.root.find("planningProblem") is not None
 
 
 def parse_scenario(ref: ScenarioRef, content: bytes, *, ego_optional: bool = False) -> Scenario:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -17,16 +18,17 @@ from shapely.geometry import Point, Polygon, box
 
 from dosplan.cli.main import BAD_INPUT, FAILED, OK, main
 from dosplan.geometry import rectangle_corners
-from dosplan.report.film.drives import Take
+from dosplan.report.film.drives import Take, takes_of_scenario
 from dosplan.report.film.files import write_gif
 from dosplan.report.film.film import Film, Picture
 from dosplan.report.film.framing import frame_scene
 from dosplan.report.film.layers import SET_COLOURS
 from dosplan.report.film.panel import USER_COLOURS
-from dosplan.report.film.scene import ARM_COLOURS
+from dosplan.report.film.scene import ARM_COLOURS, EGO_COLOUR
 from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
+from dosplan.scenario import ScenarioRef
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.simulation.loop import run_episode
 from dosplan.system.files import FileError
@@ -40,7 +42,15 @@ from dosplan.types import (
 )
 from dosplan.vehicle import VehicleParameters
 from tests.support.plugins import PLUGINS, CoastPlanner, GrowingPredictor
-from tests.support.runs import run_leaky, write_followed
+from tests.support.runs import (
+    STEPS,
+    configured,
+    run_here,
+    run_leaky,
+    write_followed,
+    write_scenes,
+)
+from tests.support.scenes import User, driving, write_scenario_xml
 from tests.support.traffic import ShyTraffic, braking_before, followed
 
 VEHICLE = VehicleParameters()
@@ -223,7 +233,7 @@ def test_the_recording_alone_shows_the_start_and_the_goal(tmp_path: Path) -> Non
 @given(st.integers(1, 2), st.floats(0.0, 900.0), st.floats(0.0, 900.0), st.floats(-1e5, 1e5))
 def test_panels_fit_and_show_the_drives(count: int, wide: float, tall: float, where: float) -> None:
     drive = np.array([[where, where], [where + wide, where + tall]])
-    framing = frame_scene([drive] * count, straight_scenario(), stand=False)
+    framing = frame_scene([drive] * count)
     width, height = framing.size
     assert width % 2 == height % 2 == 0
     assert height <= 1200
@@ -333,7 +343,7 @@ def test_a_scenario_is_drawn_as_recorded_or_driven_first(
         (["SCENES"], "holds 2 scenarios: name one, as in ZAM_Test-0_1_T-1 --source"),
         (["RUN:ZAM_Test-0_1_T-1", "--planner", "idm"], "are for a scenario, not for a run"),
         (["RUN:ZAM_Test-0_1_T-1", "--seed", "1"], "are for a scenario, not for a run"),
-        (["http://127.0.0.1:9/x.xml"], "127.0.0.1:9/x.xml: cannot be reached"),
+        (["http://127.0.0.1:9/x.xml"], "http://127.0.0.1:9/x.xml: cannot be fetched"),
         (["ZAM_Test-0_1_T-1", "--arm", "with_dos"], "which was not driven"),
         (["RUN:ZAM_Test-0_1_T-1", "--time", "1.5"], "no picture at 1.5 s: it lasts 1.0 s"),
         (["RUN:ZAM_Test-0_1_T-1", "--time", "-1"], "no picture at -1 s"),
@@ -378,3 +388,69 @@ def test_a_video_lasts_as_long_as_the_drive_and_the_last_picture(run: Path, tmp_
     frames, seconds = ffmpeg.count_frames_and_secs(str(out))
     assert frames == 11 + 20
     assert seconds == pytest.approx(3.1, abs=0.1)
+
+
+def _without_problem(folder: Path, name: str, users: bool) -> Path:
+    """A recording, or a map alone, as a file without a planning problem."""
+    path = folder / f"{name}.xml"
+    moving = [User(7, driving(60.0, 0.0, 5.0, STEPS + 1))] if users else []
+    write_scenario_xml(path, users=moving, problems=[], benchmark_id=name)
+    return path
+
+
+@pytest.mark.parametrize("users", [True, False])
+@pytest.mark.parametrize("ending", ["png", "gif", "mp4"])
+def test_a_map_or_a_recording_is_drawn_without_a_planning_problem(
+    tmp_path: Path, users: bool, ending: str
+) -> None:
+    if ending == "mp4":
+        pytest.importorskip("imageio_ffmpeg")
+    path = _without_problem(tmp_path, "ZAM_Bare-1_1_T-1", users)
+    out = tmp_path / f"x.{ending}"
+    assert main(["render", str(path), "--out", str(out)]) == OK
+    if ending == "gif":
+        with Image.open(out) as gif:
+            assert getattr(gif, "n_frames", 1) == (STEPS + 1 if users else 2)
+    assert out.stat().st_size > 1000
+    # Nobody drives it, and that is one line.
+    complaint = main(["render", str(path), "--planner", "idm", "--out", str(out)])
+    assert complaint == BAD_INPUT
+
+
+def test_without_a_planning_problem_there_is_no_ego_and_all_is_in_view(tmp_path: Path) -> None:
+    path = _without_problem(tmp_path, "ZAM_Bare-1_1_T-1", users=True)
+    (take,), _ = takes_of_scenario(ScenarioRef(path, "ZAM_Bare-1_1_T-1"))
+    film = Film([take], "title", scale=2.0)
+    shown = film.panels[0].axes
+    picture = film.picture(0)
+    assert not (picture == np.round(255.0 * np.array(to_rgb(EGO_COLOUR)))).all(axis=-1).any()
+    here = np.array([60.0, 0.0])
+    np.testing.assert_array_equal(
+        pixel(film, picture, here), to_rgb(USER_COLOURS[take.tracks.kinds[0]])
+    )
+    assert film.panels[0].kinds_in_view() == {take.tracks.kinds[0]}
+    assert len(film.steps) == STEPS + 1
+
+    path = _without_problem(tmp_path, "ZAM_Bare-2_1_T-1", users=False)
+    (take,), _ = takes_of_scenario(ScenarioRef(path, "ZAM_Bare-2_1_T-1"))
+    assert take.name == "map"
+    shown = Film([take], "title").panels[0].axes
+    (left, right), (bottom, top) = shown.get_xlim(), shown.get_ylim()
+    assert box(left, bottom, right, top).contains(take.scenario.road_map.drivable)
+
+
+def test_a_planning_problem_without_a_road_user_is_drawn(tmp_path: Path) -> None:
+    path = tmp_path / "ZAM_Empty-1_1_T-1.xml"
+    write_scenario_xml(path, benchmark_id="ZAM_Empty-1_1_T-1")
+    assert main(["render", str(path), "--out", str(tmp_path / "x.png")]) == OK
+    assert main(["render", str(path), "--planner", "idm", "--out", str(tmp_path / "y.gif")]) == OK
+
+
+def test_an_episode_whose_id_names_its_file_is_drawn(tmp_path: Path) -> None:
+    for place in ("a", "b"):
+        write_scenes(tmp_path / "source" / place, 1, "ZAM_Twin-{}_1_T-1")
+    folder = run_here(configured(tmp_path / "run", tmp_path / "source"))
+    name = f"ZAM_Twin-0_1_T-1:b{os.sep}ZAM_Twin-0_1_T-1.xml"
+    assert main(["render", f"{folder.path}:{name}", "--out", str(tmp_path / "x.png")]) == OK
+    asked = ["render", name, "--source", str(tmp_path / "source"), "--out"]
+    assert main([*asked, str(tmp_path / "y.png")]) == OK

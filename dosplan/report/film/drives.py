@@ -11,12 +11,13 @@ import shapely
 
 from dosplan.geometry import rectangle_corners
 from dosplan.plugins.registry import create_planner, create_predictor
+from dosplan.report.film.layers import INK
 from dosplan.report.film.scene import ARM_COLOURS, EGO_COLOUR
 from dosplan.results.drive import Drive, find_drives
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import read_manifest
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
-from dosplan.scenario import ScenarioRef, load_scenario
+from dosplan.scenario import ScenarioRef, has_problem, load_recording, load_scenario
 from dosplan.scoring.collision import shape_at
 from dosplan.simulation.loop import run_episode
 from dosplan.system.files import FileError
@@ -33,6 +34,8 @@ class Take:
         scenario: The scene.
         row: The row, or None where nothing was driven: the ego stands at its start.
         drive: The drive, or None where there is none.
+        has_task: Whether there is anything to drive; False for a map or a recording alone, which
+            has no ego, no route and no goal.
     """
 
     name: str
@@ -40,6 +43,19 @@ class Take:
     scenario: Scenario
     row: Score | None = None
     drive: Drive | None = None
+    has_task: bool = True
+
+    @property
+    def in_view(self) -> FloatArray:
+        """(M, 2) points that the picture has to show, m."""
+        if not self.has_task:
+            users = self.tracks.states[self.tracks.valid][:, :2]
+            return users if len(users) else _corners(self.scenario.road_map.drivable)
+        ego = self.ego[:, :2]
+        if self.row is not None:
+            return ego
+        goals = [_corners(goal.region) for goal in self.scenario.task.goals if goal.region]
+        return np.concatenate([ego, *goals])
 
     @property
     def tracks(self) -> Tracks:
@@ -164,7 +180,7 @@ def takes_of_drive(
 
 
 def takes_of_scenario(ref: ScenarioRef) -> Takes:
-    """The recorded traffic, with the ego at its start.
+    """The recorded traffic, with the ego at its start where the file has a planning problem.
 
     Args:
         ref: The scenario.
@@ -175,7 +191,18 @@ def takes_of_scenario(ref: ScenarioRef) -> Takes:
     Raises:
         ScenarioError: The scenario cannot be read.
     """
-    return [Take("recorded traffic", EGO_COLOUR, load_scenario(ref))], ref.id
+    has_task = has_problem(ref)
+    scenario = load_scenario(ref) if has_task else load_recording(ref)
+    name = "recorded traffic" if len(scenario.tracks.ids) else "nobody else on the road"
+    colour = EGO_COLOUR if has_task else INK
+    if not has_task and not len(scenario.tracks.ids):
+        name = "map"
+    return [Take(name, colour, scenario, has_task=has_task)], ref.id
+
+
+def _corners(area: shapely.Geometry) -> FloatArray:
+    """(2, 2) lower left and upper right corner of the box around an area, m."""
+    return np.reshape(area.bounds, (2, 2))
 
 
 def _take(scenario: Scenario, row: Score, drive: Drive | None) -> Take:

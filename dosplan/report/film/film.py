@@ -51,9 +51,7 @@ class Film:
             title: A line above it all.
             scale: Factor on the number of pixels along each side.
         """
-        framing = frame_scene(
-            [take.ego[:, :2] for take in takes], takes[0].scenario, stand=takes[0].row is None
-        )
+        framing = frame_scene([take.in_view for take in takes], takes[0].has_task)
         width, height = framing.size
         self._figure = Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0 * scale)
         self._figure.set_facecolor("white")
@@ -108,16 +106,18 @@ class Film:
                 label="ego at its start" if take.row is None else f"ego {take.name}",
             )
             for take in takes
+            if take.has_task
         ]
         if any(take.drive is not None for take in takes):
             keys += [
                 Line2D([], [], color=INK, linewidth=2.2, label="driven"),
                 Line2D([], [], color=INK, linewidth=1.2, marker="o", markersize=2.5, label="plan"),
             ]
-        keys += [
-            Line2D([], [], color=GOAL_COLOUR, linewidth=1.2, alpha=0.6, label="route"),
-            Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
-        ]
+        if takes[0].has_task:
+            keys += [
+                Line2D([], [], color=GOAL_COLOUR, linewidth=1.2, alpha=0.6, label="route"),
+                Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
+            ]
         keys += [
             Patch(facecolor=colour, edgecolor=INK, linewidth=0.4, label=kind.value)
             for kind, colour in USER_COLOURS.items()

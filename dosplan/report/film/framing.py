@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.types import FloatArray, Scenario
+from dosplan.types import FloatArray
 
 _MARGIN: Final = 18.0  # m around the drives.
 _LEAST: Final = 55.0  # m; the longer side of a panel shows at least this.
@@ -50,30 +50,28 @@ class Framing:
     legend: float
 
 
-def frame_scene(drives: Sequence[FloatArray], scenario: Scenario, stand: bool) -> Framing:
+def frame_scene(shown: Sequence[FloatArray], may_follow: bool = True) -> Framing:
     """Finds the view that shows some drives from beginning to end.
 
     Two panels stand side by side, or above each other where the drives are long and flat. A view
     that would have to be too coarse follows the ego instead.
 
     Args:
-        drives: (K, 2) centres of each ego, m; one for each panel.
-        scenario: The scenario.
-        stand: Whether nothing is driven: then the goal is in the view as well.
+        shown: (M, 2) points that have to be in view, m, such as the centres of an ego; one array
+            for each panel.
+        may_follow: Whether there is an ego to be followed; if not, the view is as coarse as it has
+            to be.
 
     Returns:
         The framing.
     """
-    points = np.concatenate(drives)
-    if stand:
-        goals = [goal.region.bounds for goal in scenario.task.goals if goal.region is not None]
-        points = np.concatenate([points, np.reshape(goals, (-1, 2))])
+    points = np.concatenate(shown)
     low, high = points.min(axis=0) - _MARGIN, points.max(axis=0) + _MARGIN
     wide, tall = high - low
-    panels, size = _arrange(len(drives), float(wide / tall))
+    panels, size = _arrange(len(shown), float(wide / tall))
     box = np.array(panels[0][2:])
     scale = min(float(np.min(box / (wide, tall))), float(np.max(box)) / _LEAST)
-    follows = scale < _COARSEST
+    follows = may_follow and scale < _COARSEST
     return Framing(
         size=size,
         panels=tuple(panels),

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from matplotlib.path import Path as Outline
 from matplotlib.text import Annotation
 
 from dosplan.report.film.drives import Take
@@ -34,8 +35,14 @@ USER_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
 """Fill colour of each kind of road user."""
 
 _GOOD, _BAD = "#2e7d32", "#c4161c"
+_GAP: Final = 0.45
+_CROSS: Final = Outline(  # Open in the middle, so that the contact is seen.
+    [(x * r, y * r) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for r in (1.0, _GAP)],
+    [Outline.MOVETO, Outline.LINETO] * 4,
+)
 _SET_METRES: Final = 40.0  # Sets of road users that are farther from the ego are left out.
-_BAR: Final = 20.0  # m
+_BARS: Final = (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)  # m
+_LEAST_BAR: Final = 60.0  # Pixels.
 _AHEAD: Final = (
     0.4  # Share of the way to the border: more road is in view before the ego than behind.
 )
@@ -69,7 +76,8 @@ class Panel:
         for spine in self.axes.spines.values():
             spine.set(color="#c9ced4", linewidth=0.8)
         draw_map(self.axes, take.scenario)
-        draw_task(self.axes, take.scenario)
+        if take.has_task:
+            draw_task(self.axes, take.scenario)
         self._aimed: FloatArray | None = None
         self.aim(take.start)
         self._draw_bar(wide, high)
@@ -106,8 +114,9 @@ class Panel:
         decided = take.row is not None and now >= take.moment
         struck = take.row.collision_with if take.row is not None and decided else None
         self._users.show_step(now, {} if struck is None else {struck: _BAD})
-        self._ego.show(pose[None], np.array([take.scenario.task.vehicle.size]), [take.colour])
-        self._driven.set_data(*take.ego[: index + 1, :2].T)
+        if take.has_task:
+            self._ego.show(pose[None], np.array([take.scenario.task.vehicle.size]), [take.colour])
+            self._driven.set_data(*take.ego[: index + 1, :2].T)
         self._show_cycle(now, pose)
         speed = f"     {velocity:.1f} m/s" if take.row is not None else ""
         self._clock.set_text(f"{take.seconds(now):.1f} s{speed}")
@@ -184,7 +193,7 @@ class Panel:
         self._ego = Bodies(axes, zorder=8, line=1.0)
         good = take.row is not None and take.row.outcome is Outcome.SUCCESS
         colour = _GOOD if good else _BAD
-        shape, extent = ("o", 26.0) if good else ("x", 15.0)  # Points.
+        shape, extent = ("o", 26.0) if good else (_CROSS, 30.0)  # Points.
         self._marks = [
             axes.plot(
                 *take.place[:, None],
@@ -233,7 +242,9 @@ class Panel:
 
     def _draw_bar(self, wide: float, high: float) -> None:
         """A scale in the lower left corner."""
-        long = _BAR / (2.0 * self._framing.reach[0])
+        metre = 1.0 / (2.0 * self._framing.reach[0])
+        bar = next((bar for bar in _BARS if bar * metre * wide >= _LEAST_BAR), _BARS[-1])
+        long = bar * metre
         left, low = 12.0 / wide, 12.0 / high
         axes = self.axes
         axes.plot(
@@ -241,6 +252,6 @@ class Panel:
             transform=axes.transAxes, solid_capstyle="butt",
         )  # fmt: skip
         axes.text(
-            left + 0.5 * long, low + 4.0 / high, f"{_BAR:.0f} m", ha="center", va="bottom",
+            left + 0.5 * long, low + 4.0 / high, f"{bar:.0f} m", ha="center", va="bottom",
             size=8.0, transform=axes.transAxes, zorder=9,
         )  # fmt: skip

@@ -33,7 +33,7 @@ _DOCTYPE: Final = "it has a document type (DOCTYPE), which is refused; remove th
 class ScenarioError(DosplanError, ValueError):
     """A scenario that cannot be used: one line naming the file, what is wrong and what to do."""
 
-    def __init__(self, path: Path, problem: str) -> None:
+    def __init__(self, path: Path | str, problem: str) -> None:
         super().__init__(" ".join(f"{path}: {problem}".split()))
 
 

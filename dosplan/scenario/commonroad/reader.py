@@ -117,7 +117,9 @@ def _scenario(document: Document, ref: ScenarioRef, ego_optional: bool) -> Scena
     vehicle = VehicleParameters()
     elements = root.findall("planningProblem")
     if not elements and ego_optional:
-        problem = _standing_ego(root, read.road_map.lanelets[0], resampling, vehicle)
+        lanelets = read.road_map.lanelets
+        where = next((lanelet for lanelet in lanelets if lanelet.for_cars), lanelets[0])
+        problem = _standing_ego(root, where, resampling, vehicle)
     else:
         element = _chosen(ref, elements)
         with naming(label(element)):
@@ -182,7 +184,7 @@ def _tags(root: Element) -> frozenset[str]:
 def _standing_ego(
     root: Element, lanelet: Lanelet, resampling: Resampling, vehicle: VehicleParameters
 ) -> _Problem:
-    """The problem of an ego that stands where the map's first lanelet begins, to the very end."""
+    """The problem of an ego that stands to the very end where a lanelet begins."""
     along = lanelet.centre[1] - lanelet.centre[0]
     start = vehicle.state_at(lanelet.centre[0], float(np.arctan2(along[1], along[0])), 0.0, 0.0)
     tags = ("dynamicObstacle", "obstacle")

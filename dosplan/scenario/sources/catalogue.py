@@ -16,7 +16,6 @@ from dosplan.scenario.sources.fetch import (
     candidates,
     joined_candidates,
     listed_candidates,
-    place,
 )
 from dosplan.system.errors import did_you_mean
 
@@ -91,8 +90,7 @@ def find_scenarios(source: Source) -> list[ScenarioRef]:
     else:
         refs = _episodes(candidates(source))
     if not refs:
-        where = place(source) if isinstance(source, str | Path) else Path(source_text(source))
-        raise ScenarioError(where, f"holds no scenario ({' or '.join(SUFFIXES)})")
+        raise ScenarioError(source_text(source), f"holds no scenario ({' or '.join(SUFFIXES)})")
     return refs
 
 
@@ -117,7 +115,7 @@ def find_ids(source: Source, ids: Sequence[str]) -> list[ScenarioRef]:
     for wanted in ids:
         if wanted not in there:
             raise ScenarioError(
-                Path(source_text(source)),
+                source_text(source),
                 f"holds no scenario {wanted}{did_you_mean(wanted, there, 3)}; "
                 "name a file or a folder that is there, or its place with --source",
             )

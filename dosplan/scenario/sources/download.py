@@ -65,4 +65,4 @@ def _known(copy: Path, marks: Path) -> dict[str, str]:
 
 
 def _refused(url: str, reason: str) -> ScenarioError:
-    return ScenarioError(Path(url), f"cannot be fetched ({reason}); fetch it yourself")
+    return ScenarioError(url, f"cannot be fetched ({reason}); fetch it yourself")

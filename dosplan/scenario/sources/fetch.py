@@ -146,7 +146,7 @@ def place(source: str | Path) -> Path:
     except Exception as error:  # A file system may raise anything.
         reason = f"{type(error).__name__}: {error}"
         raise ScenarioError(
-            Path(source),
+            str(source),
             f"cannot be reached ({reason}); URLs need pip install 'dosplan[cluster]' "
             "and fsspec's package for theirs",
         ) from error

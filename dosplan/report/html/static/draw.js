@@ -178,19 +178,20 @@ function drawPlan(context, side, step, pose, colour, pixel) {
   });
 }
 
-// Where and how it ended: a cross for what went wrong, a ring for a goal.
+// Where and how it ended: a cross for what went wrong, open where the contact is; a ring for a goal.
 function drawMoment(context, side, colour, pixel, palette) {
   const [x, y] = [side.x[side.moment], side.y[side.moment]];
   const good = side.outcome === "success";
-  const reach = 13 * pixel;
+  const [inner, reach] = [9 * pixel, 19 * pixel];
   for (const [style, width] of [[palette.paper, 7], [good ? palette.outcomes.success : palette.outcomes[side.outcome], 3.5]]) {
     context.beginPath();
     if (good) {
-      context.arc(x, y, reach * 1.25, 0, 2 * Math.PI);
+      context.arc(x, y, 16 * pixel, 0, 2 * Math.PI);
     } else {
-      trace(context, [[x - reach, y - reach], [x + reach, y + reach]]);
-      context.moveTo(x - reach, y + reach);
-      context.lineTo(x + reach, y - reach);
+      for (const [across, up] of [[-1, -1], [-1, 1], [1, -1], [1, 1]]) {
+        context.moveTo(x + across * inner, y + up * inner);
+        context.lineTo(x + across * reach, y + up * reach);
+      }
     }
     context.strokeStyle = style;
     context.lineWidth = width * pixel;

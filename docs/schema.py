@@ -25,6 +25,7 @@ from dosplan.results.paired import Difference
 from dosplan.results.recording import Recording
 from dosplan.results.rows import LATER
 from dosplan.results.summary import ArmSummary, RunTitle, Summary
+from dosplan.results.unusable import Unusable
 from dosplan.scoring import metrics
 from dosplan.system.provenance import Machine
 from dosplan.types import Score, Tracks
@@ -33,7 +34,7 @@ PAGE: Final = Path(__file__).with_name("run-folder.md")
 METRICS_PAGE: Final = PAGE.with_name("metrics.md")
 CLASSES: Final[tuple[type, ...]] = (
     RunManifest, RunSettings, Machine, Score, Recording, Tracks, Summary, RunTitle, Comparison,
-    Difference, Change,
+    Difference, Change, Unusable,
 )  # fmt: skip
 _FLATTENED: Final = {"measures": "name of a measured metric", "differences": "name of a metric"}
 """Fields whose entries are keys themselves."""
@@ -43,8 +44,10 @@ Made from the table in `dosplan/scoring/metrics.py` by `python docs/schema.py`.
 
 Each episode has a value or none. The values of an arm become one figure: a share (from 0 to 1), a
 mean or the largest value, over the episodes that have a value. An episode that crashed is an
-episode like any other, so the denominator of an outcome's share is the number of scenarios.
-Percentiles of cycle times are over the planning cycles of all episodes pooled.
+episode like any other, so the denominator of an outcome's share is the number of scenarios that are
+usable. A scenario that nobody could drive has no value in any metric: it is counted in `n`, not in
+`usable`, and listed in `summary.json`. Percentiles of cycle times are over the planning cycles of
+all episodes pooled.
 
 *Key* is the figure's key in `summary.json`; *name*, where it differs, its key in a comparison.
 

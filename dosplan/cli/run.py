@@ -6,7 +6,6 @@ import argparse
 import shlex
 import sys
 from collections.abc import Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final
 
@@ -62,7 +61,8 @@ class RunCommand:
         """Drives, and shows the figures of the run.
 
         Returns:
-            0; 1 where an episode is a planner failure; 130 where the run was interrupted.
+            0; 1 where an episode is a planner failure or a scenario unusable; 130 where the run was
+            interrupted.
 
         Raises:
             RunError: The run may not start or cannot go on.
@@ -78,7 +78,6 @@ class RunCommand:
         from dosplan.results.summary import read_summary
         from dosplan.running.config import default_folder
         from dosplan.running.executor import SerialExecutor
-        from dosplan.running.progress import Observer
         from dosplan.running.run import RunConfig, run
         from dosplan.types import Arm
 
@@ -109,8 +108,9 @@ class RunCommand:
         )
         try:
             # A table that is drawn anew would hide the prompt of a debugger.
-            shown = show_run(console(stderr=True), live=not options.in_process)
-            with nullcontext(Observer()) if options.quiet else shown as observer:
+            with show_run(
+                console(stderr=True), live=not options.in_process, quiet=options.quiet
+            ) as observer:
                 folder = run(config, observer, SerialExecutor() if options.in_process else None)
         except KeyboardInterrupt:
             hint = f"the same command with --out {shlex.quote(str(config.out))} resumes"
@@ -126,7 +126,7 @@ class RunCommand:
         for line in error_lines(read_rows(folder.rows)):
             print(line, file=sys.stderr)
         failures = any(arm["planner_failure_rate"] for arm in summary.arms.values())
-        return FAILED if failures else OK
+        return FAILED if failures or summary.unusable else OK
 
 
 def _report_line(folder: Path) -> str:

@@ -32,7 +32,7 @@ class Explanation:
         goals: How each alternative goal was missed.
         margins: What was left in a success.
         planning: The planner's last cycles before that step.
-        error: What went wrong in a planner failure.
+        error: What went wrong in a planner failure, or why the scenario is unusable.
         traceback: File of the traceback, relative to the run folder.
     """
 
@@ -52,7 +52,8 @@ class Explanation:
 
     def lines(self) -> list[str]:
         """The explanation in plain words: a heading, then indented lines."""
-        when = "before the first step"
+        unusable = self.outcome is Outcome.UNUSABLE
+        when = "for everybody, so not driven" if unusable else "before the first step"
         if self.step is not None:
             when = f"at step {self.step}, {self.seconds:.1f} s after the start"
         body = [] if self.error is None else [self.error]

@@ -19,6 +19,7 @@ from rich.text import Text
 
 from dosplan.report.tables import table
 from dosplan.results.markdown import ARM_TITLES
+from dosplan.results.unusable import Unusable, unusable_lines
 from dosplan.running.progress import Observer
 from dosplan.types import Arm, Outcome, Score
 
@@ -55,23 +56,28 @@ def show_progress(console: Console, unit: str) -> Iterator[Callable[[int, int], 
 
 @contextmanager
 def show_run(
-    console: Console, clock: Clock = time.monotonic, *, live: bool = True
+    console: Console, clock: Clock = time.monotonic, *, live: bool = True, quiet: bool = False
 ) -> Iterator[Observer]:
     """Shows how a run goes on while the block runs.
 
     A terminal has a table, which goes when the block ends. Elsewhere there is a line for each
-    tenth of the run, and for each minute where a tenth takes longer.
+    tenth of the run, and for each minute where a tenth takes longer. Which scenarios are unusable
+    is told in any case, before anything is driven.
 
     Args:
         console: Where to.
         clock: The time, s.
         live: Whether a terminal may have the table, which takes standard output, too, as long as
             it is shown.
+        quiet: Whether to tell of unusable scenarios alone.
 
     Yields:
         What the runner reports to.
     """
-    tally = _Tally(clock)
+    if quiet:
+        yield _Teller(console)
+        return
+    tally = _Tally(console, clock)
     if not (live and console.is_terminal):
         yield _LineObserver(console, tally, clock)
         return
@@ -80,33 +86,64 @@ def show_run(
         yield tally
 
 
-class _Tally(Observer):
-    """Counts outcomes.
+class _Teller(Observer):
+    """Tells which scenarios are unusable."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._scenarios = 0
+
+    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
+        self._scenarios = max(episodes.values())
+
+    def checked(self, rows: Sequence[Score], unusable: Sequence[Unusable]) -> None:
+        for line in unusable_lines(unusable, self._scenarios):
+            self._console.print(line, highlight=False, soft_wrap=True, markup=False)
+
+
+class _Tally(_Teller):
+    """Counts outcomes, too.
 
     Attributes:
         episodes: Number of episodes of each arm.
         outcomes: How many ended how, in each arm.
         done: How many have ended.
+        checks: How many scenarios have been checked and are to be; None when all are.
     """
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, console: Console, clock: Clock) -> None:
+        super().__init__(console)
         self.episodes: Mapping[Arm, int] = {}
         self.outcomes: dict[Arm, Counter[Outcome]] = {}
         self.done = 0
+        self.checks: tuple[int, int] | None = None
         self._clock = clock
         self._began = 0.0
         self._left_over = 0  # Rows of an earlier start: they are left out of the rate.
 
     def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
+        super().begin(episodes, rows)
         self.outcomes = {arm: Counter() for arm in episodes}
         for row in rows:
             self.add(row)
-        self._began, self._left_over = self._clock(), len(rows)
+        self._start_clock()
         self.episodes = episodes
+
+    def checking(self, done: int, total: int) -> None:
+        self.checks = (done, total) if done < total else None
+
+    def checked(self, rows: Sequence[Score], unusable: Sequence[Unusable]) -> None:
+        for row in rows:
+            self.add(row)
+        self._start_clock()
+        super().checked(rows, unusable)
 
     def add(self, row: Score) -> None:
         self.outcomes[row.arm][row.outcome] += 1
         self.done += 1
+
+    def _start_clock(self) -> None:
+        self._began, self._left_over = self._clock(), self.done
 
     @property
     def total(self) -> int:
@@ -126,7 +163,8 @@ class _Tally(Observer):
         """Done, success so far in percent, and what is counted."""
         found = self.outcomes[arm]
         done = found.total()
-        success = f"{100.0 * found[Outcome.SUCCESS] / done:.1f}" if done else "-"
+        usable = done - found[Outcome.UNUSABLE]
+        success = f"{100.0 * found[Outcome.SUCCESS] / usable:.1f}" if usable else "-"
         counts = [str(found[outcome]) for outcome in _COUNTED.values()]
         return [f"{done} of {self.episodes[arm]}", success, *counts]
 
@@ -142,6 +180,8 @@ def _live(tally: _Tally) -> RenderableType:
 
 
 def _head(tally: _Tally) -> str:
+    if tally.checks is not None:
+        return "{} of {} scenarios checked".format(*tally.checks)
     return f"{tally.done} of {tally.total} episodes{tally.pace}"
 
 
@@ -169,14 +209,26 @@ class _LineObserver(Observer):
         self._tally.begin(episodes, rows)
         self._write_if_due()
 
+    def checking(self, done: int, total: int) -> None:
+        self._tally.checking(done, total)
+        if self._clock() - self._written >= _LINE_EVERY:
+            self._write()
+
+    def checked(self, rows: Sequence[Score], unusable: Sequence[Unusable]) -> None:
+        self._tally.checked(rows, unusable)
+        if rows:
+            self._write_if_due()
+
     def add(self, row: Score) -> None:
         self._tally.add(row)
         self._write_if_due()
 
     def _write_if_due(self) -> None:
         further = self._tenths.further(self._tally.done, self._tally.total)
-        if not further and self._clock() - self._written < _LINE_EVERY:
-            return
+        if further or self._clock() - self._written >= _LINE_EVERY:
+            self._write()
+
+    def _write(self) -> None:
         arms = [f"; {ARM_TITLES[arm]}: {self._arm(arm)}" for arm in self._tally.episodes]
         line = _head(self._tally) + ("".join(arms) if self._tally.done else "")
         self._console.print(line, highlight=False, soft_wrap=True)

@@ -8,19 +8,22 @@ from typing import Final
 from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
+from rich.text import Text
 
 from dosplan.results.comparison import Comparison
 from dosplan.results.markdown import (
     difference_lines,
     interval_text,
+    scenario_count,
     summary_cells,
     summary_title,
 )
 from dosplan.results.paired import Difference
 from dosplan.results.summary import Summary
+from dosplan.results.unusable import unusable_lines
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Metric
-from dosplan.types import Score
+from dosplan.types import Outcome, Score
 
 ERRORS_SHOWN: Final = 10
 
@@ -32,18 +35,20 @@ def summary_tables(summary: Summary) -> RenderableType:
         summary: The summary of a run.
 
     Returns:
-        The paper's columns, the further ones, and a line on the paired difference where both
-        arms ran.
+        The paper's columns, the further ones, a line on the paired difference where both arms ran,
+        and what is unusable.
     """
     tables = [table(*cells) for cells in summary_cells(summary)]
-    return Group(summary_title(summary), *tables, *difference_lines(summary))
+    told = unusable_lines(summary.unusable, scenario_count(summary))
+    lines = map(Text, told)  # Reasons may hold what rich takes for markup.
+    return Group(summary_title(summary), *tables, *difference_lines(summary), *lines)
 
 
 def error_lines(rows: Iterable[Score]) -> list[str]:
-    """Lists what went wrong in a run.
+    """Lists what went wrong in the episodes of a run.
 
     Args:
-        rows: Its rows.
+        rows: Its rows; those that are unusable are told elsewhere.
 
     Returns:
         One line for each distinct error, the most frequent first, with its count and the first
@@ -51,7 +56,7 @@ def error_lines(rows: Iterable[Score]) -> list[str]:
     """
     rows_of: dict[str, list[Score]] = {}
     for row in rows:
-        if row.error is not None:
+        if row.error is not None and row.outcome is not Outcome.UNUSABLE:
             rows_of.setdefault(row.error, []).append(row)
     errors = sorted(rows_of.items(), key=lambda item: -len(item[1]))
     lines = [
@@ -88,6 +93,8 @@ def comparison_tables(comparison: Comparison) -> RenderableType:
     title = (
         f"A = {comparison.a}\nB = {comparison.b}\nn = {comparison.n}, places = {comparison.places}"
     )
+    if comparison.unusable:
+        title += f"; left out as unusable: {comparison.unusable}"
     notes = (
         "Intervals take into account that several scenarios are of one place. p of a share: exact "
         "McNemar test over scenarios; of a mean: t test over places."

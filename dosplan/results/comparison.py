@@ -49,8 +49,9 @@ class Comparison:
     Attributes:
         a: Name of side A.
         b: Name of side B.
-        n: Number of scenarios.
+        n: Number of scenarios that are compared.
         places: Number of places these are of.
+        unusable: Number of scenarios that are left out, since they are unusable on a side.
         differences: The difference of each metric by its name, over the scenarios in which both
             sides have a value; a metric is left out where there is none.
         changes: Scenarios whose outcome differs, in the run's order.
@@ -60,6 +61,7 @@ class Comparison:
     b: str
     n: int
     places: int
+    unusable: int = field(kw_only=True, default=0)
     differences: Mapping[str, Difference]
     changes: tuple[Change, ...]
 
@@ -82,6 +84,7 @@ class Comparison:
                 ("n", int),
                 ("places", int),
                 ("changes", tuple[Change, ...]),
+                ("unusable", int, field(default=0)),
                 *((m.name, Difference | None, field(default=None)) for m in metrics.METRICS),
             ],
         )
@@ -95,6 +98,7 @@ class Comparison:
             b=content.b,
             n=content.n,
             places=content.places,
+            unusable=content.unusable,
             differences={name: one for name, one in found.items() if one is not None},
             changes=content.changes,
         )
@@ -103,7 +107,7 @@ class Comparison:
 def compare_rows(
     a: Sequence[Score], b: Sequence[Score], name_a: str = "A", name_b: str = "B"
 ) -> Comparison:
-    """Compares the rows of two arms over the same scenarios.
+    """Compares the rows of two arms over the same scenarios, without those that are unusable.
 
     Args:
         a: Rows of side A, one for each scenario.
@@ -125,13 +129,15 @@ def compare_rows(
         )
     if not a:
         raise CompareError(f"{name_a} and {name_b} hold no scenario")
-    pairs = [(row, by_scenario[row.scenario]) for row in a]
+    every = [(row, by_scenario[row.scenario]) for row in a]
+    pairs = [pair for pair in every if Outcome.UNUSABLE not in (pair[0].outcome, pair[1].outcome)]
     found = {metric.name: _compare(metric, pairs) for metric in metrics.METRICS}
     return Comparison(
         a=name_a,
         b=name_b,
         n=len(pairs),
         places=len({place_of(row.scenario) for row, _ in pairs}),
+        unusable=len(every) - len(pairs),
         differences={name: one for name, one in found.items() if one is not None},
         changes=tuple(
             Change(x.scenario, x.outcome, y.outcome) for x, y in pairs if x.outcome is not y.outcome

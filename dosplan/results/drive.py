@@ -248,12 +248,12 @@ def find_recording(folder: RunFolder, row: Score) -> Recording | None:
         row: The episode's row.
 
     Returns:
-        Its recording; None where it failed before there was anything to write.
+        Its recording; None where it failed before there was anything to write, or was unusable.
 
     Raises:
         FileError: The file is missing or broken.
     """
     path = folder.recording(row.scenario, row.arm)
-    if row.outcome is Outcome.PLANNER_FAILURE and not path.exists():
+    if row.outcome in (Outcome.PLANNER_FAILURE, Outcome.UNUSABLE) and not path.exists():
         return None
     return Recording.load(path)

@@ -7,6 +7,7 @@ from typing import Final
 
 from dosplan.results.paired import Difference
 from dosplan.results.summary import Summary
+from dosplan.results.unusable import unusable_title
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Group, Metric, find_metric
 from dosplan.types import Arm
@@ -46,6 +47,9 @@ def summary_markdown(summary: Summary) -> str:
     blocks = [f"# {summary_title(summary)}"]
     blocks += [markdown(*cells) for cells in summary_cells(summary)]
     blocks += difference_lines(summary)
+    if summary.unusable:
+        blocks.append(f"{unusable_title(summary.unusable, scenario_count(summary))}:")
+        blocks.append("\n".join(f"- `{x.file}`: {_escaped(x.reason)}" for x in summary.unusable))
     return "\n\n".join(blocks) + "\n"
 
 
@@ -57,7 +61,8 @@ def summary_cells(summary: Summary) -> list[Cells]:
 
     Returns:
         The tables, each with a row for each arm that ran; that of the solver only where a figure is
-        not zero, as planners without a solver have none.
+        not zero, as planners without a solver have none. The first counts the scenarios, and those
+        of them that are usable where some are not.
     """
     arms = {ARM_TITLES[arm]: figures for arm, figures in summary.arms.items()}
     tables = []
@@ -66,7 +71,9 @@ def summary_cells(summary: Summary) -> list[Cells]:
         found = [figures.get(metric.key) for metric in columns for figures in arms.values()]
         if not columns or (group is Group.SOLVER and not any(found)):
             continue
-        last = ["n"] if group is Group.MAIN else []
+        last = []
+        if group is Group.MAIN:
+            last = ["n", "usable"] if summary.unusable else ["n"]
         headings = ["Arm", *(metric.heading for metric in columns), *last]
         rows = [
             [
@@ -78,6 +85,11 @@ def summary_cells(summary: Summary) -> list[Cells]:
         ]
         tables.append((headings, rows))
     return tables
+
+
+def scenario_count(summary: Summary) -> int:
+    """Counts the scenarios of a run, usable or not."""
+    return max(int(figures["n"] or 0) for figures in summary.arms.values())
 
 
 def summary_title(summary: Summary) -> str:
@@ -112,9 +124,9 @@ def difference_lines(summary: Summary) -> list[str]:
         summary: The summary of a run.
 
     Returns:
-        A line on success, or none where one arm ran.
+        A line on success, or none where one arm ran or nothing is usable.
     """
-    if summary.comparison is None:
+    if summary.comparison is None or "success" not in summary.comparison.differences:
         return []
     metric, success = find_metric("success"), summary.comparison.differences["success"]
     return [
@@ -122,6 +134,11 @@ def difference_lines(summary: Summary) -> list[str]:
         f"(95 % interval {interval_text(metric, success)}; McNemar p = {success.p:.3g}, "
         f"n = {summary.comparison.n}, places = {summary.comparison.places})"
     ]
+
+
+def _escaped(text: str) -> str:
+    """Text of which Markdown takes nothing as a sign: the names of XML elements, say."""
+    return "".join(f"\\{sign}" if sign in "\\`*_<>[]|" else sign for sign in text)
 
 
 def interval_text(metric: Metric, figure: Difference) -> str:

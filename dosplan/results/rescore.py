@@ -1,8 +1,8 @@
 """Scores a run again: from its episode files and its scenario files, without driving.
 
 The rows come out as they were to the last digit where scoring and scenarios are the same, on the
-same machine with the same libraries. An episode that failed before it had a file has nothing to be
-scored, and keeps its row.
+same machine with the same libraries. An episode that failed before it had a file, or that is
+unusable, has nothing to be scored, and keeps its row.
 
 Files of versions before 0.5 hold cycle times and slacks in single precision: those columns keep
 the values of the row.
@@ -58,7 +58,7 @@ class Rescored:
         manifest: Its ``run.json``.
         rows: Its rows as they are now, in their order.
         changes: Those that came out differently.
-        kept: How many rows were kept, as their episodes failed before they had a file.
+        kept: How many rows were kept, as nothing was driven of their episodes.
     """
 
     folder: RunFolder

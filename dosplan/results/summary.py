@@ -17,14 +17,16 @@ from dosplan.results.comparison import Comparison, compare_rows
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest
 from dosplan.results.recording import load_cycle_ms
+from dosplan.results.unusable import Unusable, unusable_scenarios
 from dosplan.scenario.sources.catalogue import source_text
 from dosplan.scoring import metrics
 from dosplan.system.files import FileError, read_json, write_json
 from dosplan.system.typed import plain, typed
-from dosplan.types import Arm, FloatArray, Score
+from dosplan.types import Arm, FloatArray, Outcome, Score
 
 ArmSummary = dict[str, int | float | None]
-"""The figures of one arm: ``n``, the number of scenarios, and the figure of each metric by its key
+"""The figures of one arm: ``n``, the number of scenarios, ``usable``, the number of those that
+somebody could drive, and over these the figure of each metric by its key
 (``dosplan.scoring.metrics.Metric.key``). Shares lie between 0 and 1; None where no episode has a
 value."""
 
@@ -65,12 +67,14 @@ class Summary:
         without_dos: Figures of the arm without sets; absent likewise.
         run: Which run it is.
         comparison: The arm with sets against the arm without; absent where one arm was driven.
+        unusable: The scenarios that nobody could drive; absent where there is none.
     """
 
     with_dos: ArmSummary | None = None
     without_dos: ArmSummary | None = None
     run: RunTitle
     comparison: Comparison | None = None
+    unusable: tuple[Unusable, ...] = ()
 
     @property
     def arms(self) -> dict[Arm, ArmSummary]:
@@ -82,7 +86,7 @@ class Summary:
     def content(self) -> dict[str, Any]:
         """What ``summary.json`` and ``--json`` hold: absent figures have no key."""
         compared = None if self.comparison is None else self.comparison.content()
-        content = {**vars(self), "comparison": compared}
+        content = {**vars(self), "comparison": compared, "unusable": self.unusable or None}
         return {key: plain(value) for key, value in content.items() if value is not None}
 
 
@@ -153,6 +157,7 @@ def _summary(
             ranked=config.ranked,
         ),
         comparison=comparison,
+        unusable=unusable_scenarios(rows),
     )
 
 
@@ -189,7 +194,7 @@ def read_summary(folder: RunFolder) -> Summary:
             "run the same command again to have it written anew"
         ) from None
     arms = {
-        arm: None if (figures := getattr(found, arm.value)) is None else asdict(figures)
+        arm: None if (figures := getattr(found, arm.value)) is None else _figures(figures)
         for arm in Arm
     }
     return Summary(
@@ -197,6 +202,7 @@ def read_summary(folder: RunFolder) -> Summary:
         without_dos=arms[Arm.WITHOUT_DOS],
         run=found.run,
         comparison=None if found.comparison is None else Comparison.of_content(found.comparison),
+        unusable=found.unusable,
     )
 
 
@@ -207,7 +213,7 @@ def summarise(
 
     Args:
         rows: Rows of a run.
-        n: Number of scenarios of the run: the denominator of every share.
+        n: Number of scenarios of the run; every share is over those of them that are usable.
         cycle_ms: Times of all planning cycles of each arm, ms.
 
     Returns:
@@ -247,15 +253,26 @@ def pooled_cycle_ms(folder: RunFolder, rows: Iterable[Score], arm: Arm) -> Float
 def _summarise_arm(rows: Sequence[Score], n: int, cycle_ms: FloatArray) -> ArmSummary:
     if len(rows) != n:
         raise ValueError(f"{len(rows)} rows for {n} scenarios: every scenario needs its row")
-    figures: ArmSummary = {"n": n}
+    usable = sum(row.outcome is not Outcome.UNUSABLE for row in rows)
+    figures: ArmSummary = {"n": n, "usable": usable}
     return figures | {m.key: m.summarise(rows, cycle_ms) for m in metrics.METRICS}
+
+
+def _figures(read: Any) -> ArmSummary:
+    """The figures of an arm as they were read; an older file takes every scenario as usable."""
+    figures: ArmSummary = asdict(read)
+    return figures if figures["usable"] is not None else figures | {"usable": figures["n"]}
 
 
 def _content_kind() -> type[Any]:
     """A dataclass of the keys of ``summary.json``; a metric may be absent in an older file."""
     figures = make_dataclass(
         "ArmSummary",
-        [("n", int), *((m.key, float | None, field(default=None)) for m in metrics.METRICS)],
+        [
+            ("n", int),
+            ("usable", int | None, field(default=None)),
+            *((m.key, float | None, field(default=None)) for m in metrics.METRICS),
+        ],
     )
     return make_dataclass(
         "SummaryContent",
@@ -263,5 +280,6 @@ def _content_kind() -> type[Any]:
             ("run", RunTitle),
             *((arm.value, figures | None, field(default=None)) for arm in Arm),
             ("comparison", Comparison.content_kind() | None, field(default=None)),
+            ("unusable", tuple[Unusable, ...], ()),
         ],
     )

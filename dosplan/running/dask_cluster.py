@@ -12,13 +12,13 @@ import logging
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from threading import Lock
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from dosplan import __version__
 from dosplan.plugins.registry import (
@@ -30,8 +30,8 @@ from dosplan.plugins.registry import (
     target,
 )
 from dosplan.running.config import RunConfig, RunError
-from dosplan.running.executor import Results, Task
-from dosplan.running.job import EpisodeResult
+from dosplan.running.executor import Results, Task, Verdicts, Workers
+from dosplan.running.job import EpisodeResult, unreadable
 from dosplan.running.process import EpisodeProcesses
 from dosplan.scenario import ScenarioRef
 from dosplan.scoring.score import failed_score
@@ -48,11 +48,15 @@ try:
 except ImportError as error:
     raise RunError(f"--cluster needs Dask ({error}); pip install 'dosplan[cluster]'") from error
 
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
 _LOCAL: Final = "local:"
-_WINDOW: Final = 2000  # Episodes that the scheduler holds at a time.
+_WINDOW: Final = 2000  # Tasks that the scheduler holds at a time.
 _RETRIES: Final = 2  # For a machine that cannot start processes; another one may.
 _CONNECT_SECONDS: Final = 15.0
 _CLOSE_SECONDS: Final = 1.0
+_DIED: Final = "every Dask worker that took it up died"
 _WORKER_NAME: Final = "Dask Worker process"
 
 
@@ -77,53 +81,99 @@ class DaskExecutor:
                 f"cluster is {self.address!r}; local: takes a number of workers, as local:4"
             )
 
-    def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
-        """Drives episodes, as ``Executor`` says."""
+    @contextmanager
+    def start(self, config: RunConfig) -> Iterator[Workers]:
+        """Connects to the cluster, as ``Executor`` says."""
         config = _anywhere(config)
-        source = iter(tasks)
-        pending: dict[str, Task] = {}
         _silence_dask()
         with _connected(self.address) as client:
-            results: Any = as_completed(loop=client.loop)  # type: ignore[no-untyped-call]
-
-            def hand_out(count: int) -> None:
-                for ref, arm in islice(source, count):
-                    place = replace(ref, path=ref.path.absolute())
-                    future = client.submit(
-                        _drive, place, arm, config, __version__, pure=False, retries=_RETRIES
-                    )
-                    pending[future.key] = ref, arm
-                    results.add(future)
-
             try:
-                hand_out(_WINDOW)
-                for future in results:
-                    task = pending.pop(future.key)
-                    hand_out(1)
-                    yield task, self._result(future, task)
-            except (OSError, CancelledError, ClosedClientError) as error:
-                raise RunError(
-                    f"lost the Dask scheduler at {self.address}; what was driven is kept, "
-                    "and the same command resumes when a scheduler is there"
-                ) from error
+                yield _Cluster(config, client, self.address)
             finally:
                 _stop_driving(client)
 
-    def _result(self, future: Any, task: Task) -> EpisodeResult:
-        if future.cancelled():  # Only a client that has lost its scheduler cancels.
-            raise CancelledError
-        error = future.exception()
-        if error is None:
-            result: EpisodeResult = future.result()
-            return result
-        if isinstance(error, KilledWorker):
+
+@dataclass(frozen=True)
+class _Cluster:
+    """Works on the Dask workers.
+
+    Attributes:
+        config: The run, as it can be read everywhere.
+        client: The client of the cluster.
+        address: The address that was given.
+    """
+
+    config: RunConfig
+    client: Any
+    address: str
+
+    def check(self, refs: Iterable[ScenarioRef]) -> Verdicts:
+        def submit(ref: ScenarioRef) -> Any:
+            return self._submit(_check, _absolute(ref))
+
+        return self._all(submit, refs, lambda ref: unreadable(ref, _DIED))
+
+    def drive(self, tasks: Iterable[Task]) -> Results:
+        def submit(task: Task) -> Any:
             ref, arm = task
-            return EpisodeResult(
-                failed_score(ref.id, arm, "every Dask worker that drove the episode died")
-            )
-        if isinstance(error, RunError):
-            raise error
-        raise RunError(f"a Dask worker cannot drive episodes: {one_line(error)}") from error
+            return self._submit(_drive, _absolute(ref), arm)
+
+        return self._all(
+            submit, tasks, lambda task: EpisodeResult(failed_score(task[0].id, task[1], _DIED))
+        )
+
+    def _submit(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        return self.client.submit(
+            call, *arguments, self.config, __version__, pure=False, retries=_RETRIES
+        )
+
+    def _all(
+        self,
+        submit: Callable[[_Item], Any],
+        items: Iterable[_Item],
+        lost: Callable[[_Item], _Result],
+    ) -> Generator[tuple[_Item, _Result], None, None]:
+        """Each item with its result, or with ``lost`` of it where its Dask workers died."""
+        source = iter(items)
+        pending: dict[str, _Item] = {}
+        results: Any = as_completed(loop=self.client.loop)  # type: ignore[no-untyped-call]
+
+        def hand_out(count: int) -> None:
+            for item in islice(source, count):
+                future = submit(item)
+                pending[future.key] = item
+                results.add(future)
+
+        try:
+            hand_out(_WINDOW)
+            for future in results:
+                item = pending.pop(future.key)
+                hand_out(1)
+                died, result = _result(future)
+                yield item, lost(item) if died else result
+        except (OSError, CancelledError, ClosedClientError) as error:
+            raise RunError(
+                f"lost the Dask scheduler at {self.address}; what was driven is kept, "
+                "and the same command resumes when a scheduler is there"
+            ) from error
+
+
+def _absolute(ref: ScenarioRef) -> ScenarioRef:
+    return replace(ref, path=ref.path.absolute())
+
+
+def _result(future: Any) -> tuple[bool, Any]:
+    """Whether every worker that took up a task died, and its result otherwise."""
+    if future.cancelled():  # Only a client that has lost its scheduler cancels.
+        raise CancelledError
+    error = future.exception()
+    if error is None:
+        return False, future.result()
+    if isinstance(error, KilledWorker):
+        return True, None
+    if isinstance(error, RunError):
+        raise error
+    raise RunError(f"a Dask worker cannot drive episodes: {one_line(error)}") from error
 
 
 class _Run:
@@ -155,6 +205,16 @@ _RUN: Final = _Run()
 
 def _drive(ref: ScenarioRef, arm: Arm, config: RunConfig, version: str) -> EpisodeResult:
     """Drives an episode; runs in a thread of a Dask worker."""
+    return _processes(config, version).drive(ref, arm)
+
+
+def _check(ref: ScenarioRef, config: RunConfig, version: str) -> str | None:
+    """Checks a scenario, likewise."""
+    return _processes(config, version).check(ref)
+
+
+def _processes(config: RunConfig, version: str) -> EpisodeProcesses:
+    """The processes of a run on this worker."""
     if version != __version__:
         raise RunError(f"a Dask worker has dosplan {__version__} and the runner {version}")
     if multiprocessing.current_process().daemon:
@@ -163,7 +223,7 @@ def _drive(ref: ScenarioRef, arm: Arm, config: RunConfig, version: str) -> Episo
             "--no-nanny, or with DASK_DISTRIBUTED__WORKER__DAEMON=False in their environment"
         )
     os.environ.update(WORKER_ENVIRONMENT)
-    return _RUN.processes(config).drive(ref, arm)
+    return _RUN.processes(config)
 
 
 async def _stop_processes() -> None:

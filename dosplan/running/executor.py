@@ -5,11 +5,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from itertools import islice
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from dosplan.running.config import RunConfig
 from dosplan.running.job import EpisodeResult, Session
@@ -18,28 +19,65 @@ from dosplan.scenario import ScenarioRef
 from dosplan.system.workers import WORKER_ENVIRONMENT, environment
 from dosplan.types import Arm
 
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
 Task = tuple[ScenarioRef, Arm]
 Results = Generator[tuple[Task, EpisodeResult], None, None]
+Verdicts = Generator[tuple[ScenarioRef, str | None], None, None]
 
 
-class Executor(Protocol):
-    """Drives episodes, in this process or in others."""
+class Workers(Protocol):
+    """The workers of a run: this process, or others.
 
-    def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
-        """Drives episodes and yields each as it ends.
+    Few tasks are held at a time, however many there are. Closing a generator ends whatever is
+    being done.
+    """
 
-        Few tasks are held at a time, however many there are.
+    def check(self, refs: Iterable[ScenarioRef]) -> Verdicts:
+        """Tells which scenarios can be driven.
 
         Args:
-            config: The run.
-            tasks: The episodes; taken up in this order.
+            refs: The scenarios; taken up in this order.
 
         Yields:
-            Each task, once, with its result, in the order in which they end. Closing the
-            generator ends whatever is being driven.
+            Each scenario, once, with its file and why nobody could drive it, or None where
+            somebody may; in the order in which they end.
 
         Raises:
             RunError: It cannot go on.
+        """
+        ...
+
+    def drive(self, tasks: Iterable[Task]) -> Results:
+        """Drives episodes.
+
+        Args:
+            tasks: The episodes; taken up in this order.
+
+        Yields:
+            Each task, once, with its result, in the order in which they end.
+
+        Raises:
+            RunError: It cannot go on.
+        """
+        ...
+
+
+class Executor(Protocol):
+    """Has the scenarios of a run checked and its episodes driven somewhere."""
+
+    def start(self, config: RunConfig) -> AbstractContextManager[Workers]:
+        """Starts the workers of a run.
+
+        Args:
+            config: The run.
+
+        Returns:
+            The workers; when the context ends, they end, with whatever they are doing.
+
+        Raises:
+            RunError: They cannot be started.
         """
         ...
 
@@ -59,15 +97,25 @@ class SerialExecutor:
     whose sums do not depend on either has equal rows anyway.
     """
 
-    def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
-        """Drives episodes, as ``Executor`` says.
+    @contextmanager
+    def start(self, config: RunConfig) -> Iterator[Workers]:
+        """Works in this process; Ctrl-C, and leaving a debugger, end the run."""
+        yield _ThisProcess(Session(config, attended=True))
 
-        Raises:
-            KeyboardInterrupt: The user interrupts, or leaves a debugger.
-        """
-        session = Session(config, attended=True)
+
+@dataclass(frozen=True)
+class _ThisProcess:
+    """Works in this process."""
+
+    session: Session
+
+    def check(self, refs: Iterable[ScenarioRef]) -> Verdicts:
+        for ref in refs:
+            yield ref, self.session.check(ref)
+
+    def drive(self, tasks: Iterable[Task]) -> Results:
         for ref, arm in tasks:
-            yield (ref, arm), session.drive(ref, arm)
+            yield (ref, arm), self.session.drive(ref, arm)
 
 
 @dataclass(frozen=True)
@@ -80,26 +128,48 @@ class LocalExecutor:
 
     workers: int
 
-    def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
-        """Drives episodes, as ``Executor`` says."""
+    @contextmanager
+    def start(self, config: RunConfig) -> Iterator[Workers]:
+        """Starts processes as they are needed, as ``Executor`` says."""
         processes = EpisodeProcesses(config)
-        source = iter(tasks)
-        pending: dict[Future[EpisodeResult], Task] = {}
         threads = ThreadPoolExecutor(self.workers)
-
-        def take_up(count: int) -> None:
-            for task in islice(source, count):
-                pending[threads.submit(processes.drive, *task)] = task
-
         with environment(WORKER_ENVIRONMENT):
             try:
-                take_up(self.workers)
-                while pending:
-                    done = wait(pending, return_when=FIRST_COMPLETED).done
-                    finished = [(pending.pop(future), future) for future in done]
-                    take_up(len(done))  # First, so that no process waits for a row to be written.
-                    for task, future in finished:
-                        yield task, future.result()
+                yield _Processes(processes, threads, self.workers)
             finally:
                 processes.stop()
                 threads.shutdown(cancel_futures=True)
+
+
+@dataclass(frozen=True)
+class _Processes:
+    """Works in worker processes, of which each has a thread here."""
+
+    processes: EpisodeProcesses
+    threads: ThreadPoolExecutor
+    workers: int
+
+    def check(self, refs: Iterable[ScenarioRef]) -> Verdicts:
+        return self._all(self.processes.check, refs)
+
+    def drive(self, tasks: Iterable[Task]) -> Results:
+        return self._all(lambda task: self.processes.drive(*task), tasks)
+
+    def _all(
+        self, call: Callable[[_Item], _Result], items: Iterable[_Item]
+    ) -> Generator[tuple[_Item, _Result], None, None]:
+        """Each item with what the call returns, as it ends."""
+        source = iter(items)
+        pending: dict[Future[_Result], _Item] = {}
+
+        def take_up(count: int) -> None:
+            for item in islice(source, count):
+                pending[self.threads.submit(call, item)] = item
+
+        take_up(self.workers)
+        while pending:
+            done = wait(pending, return_when=FIRST_COMPLETED).done
+            finished = [(pending.pop(future), future) for future in done]
+            take_up(len(done))  # First, so that no process waits for a row to be written.
+            for item, future in finished:
+                yield item, future.result()

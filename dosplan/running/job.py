@@ -20,8 +20,9 @@ from dosplan.plugins.registry import create_planner, create_predictor, create_tr
 from dosplan.results.drive import Drive
 from dosplan.results.rows import row_line
 from dosplan.running.config import RunConfig, RunError
-from dosplan.scenario import ScenarioRef, load_scenario
+from dosplan.scenario import ScenarioError, ScenarioRef, load_scenario
 from dosplan.scoring.score import failed_score
+from dosplan.scoring.usable import unusable
 from dosplan.simulation.loop import SimulationConfig, run_episode
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import one_line
@@ -58,6 +59,23 @@ class Session:
         self._config = config
         self._attended = attended
         self._plugins: tuple[Planner, Predictor, Traffic] | None = None
+
+    def check(self, ref: ScenarioRef) -> str | None:
+        """Tells whether a scenario can be driven; keeps it in the cache for its drives.
+
+        Args:
+            ref: The scenario.
+
+        Returns:
+            Its file and why nobody could drive it; None where somebody may.
+        """
+        try:
+            found = unusable(load_scenario(ref, cached=self._config.cache))
+        except ScenarioError as error:
+            return str(error)
+        except Exception as error:  # Caused by the file, not by a planner.
+            return unreadable(ref, one_line(error))
+        return None if found is None else str(ScenarioError(ref.path, found))
 
     def drive(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
         """Drives, scores and records one episode.
@@ -103,6 +121,19 @@ class Session:
             if isinstance(cause, BdbQuit):
                 raise KeyboardInterrupt from error
             cause = cause.__cause__ or cause.__context__
+
+
+def unreadable(ref: ScenarioRef, what: str) -> str:
+    """Says that a file cannot be read, as nobody foresaw it.
+
+    Args:
+        ref: The scenario.
+        what: What became of it.
+
+    Returns:
+        A line as of ``Session.check``.
+    """
+    return str(ScenarioError(ref.path, f"cannot be read ({what}); leave it out"))
 
 
 def failed_result(ref: ScenarioRef, arm: Arm, error: BaseException) -> EpisodeResult:

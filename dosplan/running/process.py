@@ -14,23 +14,25 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from threading import Event, Lock
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import psutil
 from pebble import ProcessExpired, ProcessPool
 
 from dosplan.running.config import RunConfig, RunError
-from dosplan.running.job import EpisodeResult, Session, failed_result
+from dosplan.running.job import EpisodeResult, Session, failed_result, unreadable
 from dosplan.scenario import ScenarioRef
 from dosplan.scoring.score import failed_score
 from dosplan.system.errors import one_line
 from dosplan.system.workers import cause_of_death, end_worker, prepare_worker, started_by
 from dosplan.types import Arm
+
+_T = TypeVar("_T")
 
 _LOOK_EVERY: Final = 0.05  # s
 _START_SECONDS: Final = 120.0  # Within which a process must take up an episode.
@@ -75,15 +77,24 @@ class EpisodeProcess:
             RunError: No process lives long enough to take up the episode.
             CancelledError: ``stop`` was called.
         """
-        for _ in range(_ATTEMPTS):
-            try:
-                return self._attempt(ref, arm)
-            except _NotTakenUpError:
-                continue
-        raise RunError(
-            "worker processes die before they take up an episode; "
-            "look at the machine's free memory and try fewer workers"
+        return self._tried(
+            _drive, (ref, arm), lambda reason: EpisodeResult(failed_score(ref.id, arm, reason))
         )
+
+    def check(self, ref: ScenarioRef) -> str | None:
+        """Tells whether a scenario can be driven; blocks.
+
+        Args:
+            ref: The scenario.
+
+        Returns:
+            As ``Session.check`` returns it; also where the file ended the process.
+
+        Raises:
+            RunError: As for ``drive``.
+            CancelledError: Likewise.
+        """
+        return self._tried(_check, (ref,), lambda reason: unreadable(ref, reason))
 
     def stop(self) -> None:
         """Has a ``drive`` in another thread end at once and its process with it."""
@@ -100,7 +111,23 @@ class EpisodeProcess:
             self._pool.join()
             self._pool = None
 
-    def _attempt(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+    def _tried(
+        self, call: Callable[..., _T], arguments: tuple[Any, ...], lost: Callable[[str], _T]
+    ) -> _T:
+        """What a call in the process returns; where it did not return, ``lost`` of the reason."""
+        for _ in range(_ATTEMPTS):
+            try:
+                return self._attempt(call, arguments, lost)
+            except _NotTakenUpError:
+                continue
+        raise RunError(
+            "worker processes die before they take up an episode; "
+            "look at the machine's free memory and try fewer workers"
+        )
+
+    def _attempt(
+        self, call: Callable[..., _T], arguments: tuple[Any, ...], lost: Callable[[str], _T]
+    ) -> _T:
         if self._pool is None:
             self._pid = self._context.Value("i", 0, lock=False)
             self._pool = ProcessPool(
@@ -111,25 +138,27 @@ class EpisodeProcess:
             )
         healthy = False
         try:
-            future: Future[EpisodeResult] = self._schedule(self._pool, ref, arm)
+            future: Future[_T] = self._schedule(self._pool, call, arguments)
             reason = self._watch(future)
             if reason is None:
                 result = future.result()
                 healthy = True
                 return result
-            return EpisodeResult(failed_score(ref.id, arm, reason))
+            return lost(reason)
         finally:
             if not healthy:
                 self.close()
 
-    def _schedule(self, pool: ProcessPool, ref: ScenarioRef, arm: Arm) -> Future[EpisodeResult]:
+    def _schedule(
+        self, pool: ProcessPool, call: Callable[..., Any], arguments: tuple[Any, ...]
+    ) -> Future[Any]:
         try:
-            return pool.schedule(_drive, (ref, arm))
+            return pool.schedule(call, arguments)
         except RuntimeError as error:  # Its process was killed while it waited for work.
             raise _NotTakenUpError from error
 
-    def _watch(self, future: Future[EpisodeResult]) -> str | None:
-        """Waits for the end of an episode.
+    def _watch(self, future: Future[Any]) -> str | None:
+        """Waits for the end of a call.
 
         Returns:
             Why there is no result, or None where there is one.
@@ -197,6 +226,22 @@ class EpisodeProcesses:
         with self._lent() as process:
             return process.drive(ref, arm)
 
+    def check(self, ref: ScenarioRef) -> str | None:
+        """Tells whether a scenario can be driven, likewise; blocks.
+
+        Args:
+            ref: The scenario.
+
+        Returns:
+            As ``EpisodeProcess.check`` returns it.
+
+        Raises:
+            RunError: As for ``drive``.
+            CancelledError: Likewise.
+        """
+        with self._lent() as process:
+            return process.check(ref)
+
     def retire(self) -> None:
         """Ends every process as soon as it is idle."""
         with self._lock:
@@ -250,6 +295,10 @@ def _drive(ref: ScenarioRef, arm: Arm) -> EpisodeResult:
         return _Worker.session.drive(ref, arm)
     except BaseException as error:  # KeyboardInterrupt: here only a plug-in raises it.
         return failed_result(ref, arm, error)
+
+
+def _check(ref: ScenarioRef) -> str | None:
+    return _Worker.session.check(ref)
 
 
 def _resident_bytes(pid: int) -> int | None:

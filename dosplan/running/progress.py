@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from dosplan.results.unusable import Unusable
 from dosplan.types import Arm, Score
 
 Progress = Callable[[int, int], None]
@@ -18,6 +19,22 @@ class Observer:
         Args:
             episodes: Number of episodes of each arm.
             rows: The rows that an interrupted run left, in no order.
+        """
+
+    def checking(self, done: int, total: int) -> None:
+        """The scenarios are being checked, before any is driven.
+
+        Args:
+            done: How many have been.
+            total: How many are to be; those with rows that an interrupted run left are not.
+        """
+
+    def checked(self, rows: Sequence[Score], unusable: Sequence[Unusable]) -> None:
+        """The scenarios have been checked, and driving begins where anything is left to drive.
+
+        Args:
+            rows: The rows that were written of those that nobody could drive.
+            unusable: Those; also the ones of which an interrupted run left rows.
         """
 
     def add(self, row: Score) -> None:
@@ -50,6 +67,17 @@ class ProgressObserver(Observer):
         """
         self._done, self._total = len(rows), sum(episodes.values())
         self._progress(self._done, self._total)
+
+    def checked(self, rows: Sequence[Score], unusable: Sequence[Unusable]) -> None:
+        """Tells how many episodes are over before any was driven.
+
+        Args:
+            rows: Their rows.
+            unusable: The scenarios that nobody could drive.
+        """
+        if rows:
+            self._done += len(rows)
+            self._progress(self._done, self._total)
 
     def add(self, row: Score) -> None:
         """Passes on that there is one more.

@@ -5,6 +5,9 @@ episodes that have no row yet and is the only one that writes what comes back: f
 of an episode, then its row, so that a row always has its files. A run that was killed at any
 moment is resumed by the same command. One that names more scenarios adds them to the run and drives
 what is missing. The rows end up in the order of the manifest.
+
+Before the first episode every scenario is read and checked, where it would be driven. One that
+nobody could drive has its rows at once, of the outcome ``unusable`` in every arm.
 """
 
 from __future__ import annotations
@@ -32,17 +35,19 @@ from dosplan.results.markdown import summary_markdown
 from dosplan.results.rows import append_row, read_rows, write_rows
 from dosplan.results.solutions import write_solutions
 from dosplan.results.summary import summarise_run, write_summary
+from dosplan.results.unusable import unusable_scenarios
 from dosplan.running.config import FREE, SELECTION, RunConfig, RunError
-from dosplan.running.executor import Executor, LocalExecutor, Results, Task
+from dosplan.running.executor import Executor, LocalExecutor, Results, Task, Workers
 from dosplan.running.job import EpisodeResult, make_plugins
 from dosplan.running.progress import Observer
 from dosplan.scenario import ScenarioRef, find_scenarios
 from dosplan.scenario.sources.catalogue import find_ids
 from dosplan.scenario.sources.selection import matching, sampled
+from dosplan.scoring.score import unusable_score
 from dosplan.system.files import remove_half_written, write_bytes, write_text
 from dosplan.system.locks import exclusive
 from dosplan.system.provenance import content_digest, describe_environment
-from dosplan.types import Arm, Score
+from dosplan.types import Outcome, Score
 
 __all__ = ["RunConfig", "RunError", "run"]
 
@@ -89,8 +94,11 @@ def run(
         kept, left = _unfinished(folder, tasks)
         observer.begin(dict.fromkeys(config.arms, len(refs)), kept)
         if left:
-            results = (executor or _executor(config)).drive(config, left)
-            _drive(folder, manifest.traffic, results, observer)
+            with (executor or _executor(config)).start(config) as workers:
+                left = _check(folder, manifest.traffic, workers, kept, left, observer)
+                _drive(folder, manifest.traffic, workers.drive(left), observer)
+        else:
+            observer.checked((), unusable_scenarios(kept))
         by_task = {(row.scenario, row.arm): row for row in read_rows(folder.rows)}
         rows = [by_task[ref.id, arm] for ref, arm in tasks]
         write_rows(folder.rows, rows)
@@ -138,24 +146,61 @@ def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> tuple[list[Score], 
     return list(kept.values()), left
 
 
+def _check(
+    folder: RunFolder,
+    traffic: str,
+    workers: Workers,
+    kept: Sequence[Score],
+    left: Sequence[Task],
+    observer: Observer,
+) -> list[Task]:
+    """Has scenarios checked that have no row in any arm, and writes rows of the unusable ones.
+
+    Returns:
+        What is to be driven.
+    """
+    # A row says what was found when the run began, so that the arms agree whatever happens.
+    reasons = {row.scenario: row.error or "" for row in kept if row.outcome is Outcome.UNUSABLE}
+    known = {row.scenario for row in kept}
+    refs = list({ref.id: ref for ref, _ in left if ref.id not in known}.values())
+    observer.checking(0, len(refs))
+    with closing(workers.check(refs)) as verdicts:
+        for done, (ref, reason) in enumerate(verdicts, start=1):
+            if reason is not None:
+                reasons[ref.id] = reason
+            observer.checking(done, len(refs))
+    rows = [
+        replace(unusable_score(ref.id, arm, reasons[ref.id]), traffic=traffic)
+        for ref, arm in left
+        if ref.id in reasons
+    ]
+    with folder.rows.open("ab", buffering=0) as file:
+        for row in rows:
+            _write_files(folder, EpisodeResult(row))
+            append_row(file, row)
+    observer.checked(rows, unusable_scenarios((*kept, *rows)))
+    return [(ref, arm) for ref, arm in left if ref.id not in reasons]
+
+
 def _drive(folder: RunFolder, traffic: str, results: Results, observer: Observer) -> None:
     """Has episodes driven and writes what they give as they end."""
     with folder.rows.open("ab", buffering=0) as file, closing(results):
-        for (ref, arm), result in results:
-            _write_files(folder, ref, arm, result)
+        for _, result in results:
+            _write_files(folder, result)
             row = replace(result.row, traffic=traffic)  # Absent where the episode never began.
             append_row(file, row)
             observer.add(row)
 
 
-def _write_files(folder: RunFolder, ref: ScenarioRef, arm: Arm, result: EpisodeResult) -> None:
-    recording = folder.recording(ref.id, arm)
+def _write_files(folder: RunFolder, result: EpisodeResult) -> None:
+    scenario, arm = result.row.scenario, result.row.arm
+    recording = folder.recording(scenario, arm)
     if result.recording is not None:
         write_bytes(recording, result.recording)
     else:  # Nor one of an attempt that was killed before its row was written.
         recording.unlink(missing_ok=True)
     if result.traceback is not None:
-        write_text(folder.traceback(ref.id, arm), result.traceback)
+        write_text(folder.traceback(scenario, arm), result.traceback)
 
 
 @contextmanager

@@ -174,8 +174,11 @@ class Metric:
             row: The episode's row.
 
         Returns:
-            The value, or None where the episode has none.
+            The value, or None where the episode has none. What is unusable never has one: here, and
+            here alone, it drops out of every share, mean and comparison.
         """
+        if row.outcome is Outcome.UNUSABLE:
+            return None
         return row.measures.get(self.name) if self.read is None else self.read(row)
 
     def values(self, rows: Sequence[Score]) -> FloatArray:

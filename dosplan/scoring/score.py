@@ -10,10 +10,13 @@ Definitions
 - **Outcome**, one per scenario, first that applies: `collision` (exact overlap of the ego's
   rectangle with a road user's shape at the same step; also swept between steps), `out_of_bounds`
   (part of the ego's rectangle outside the drivable area), `planner_failure` (exception, time-out,
-  no plan and no fallback), `goal_missed`, `success`. The denominator is the manifest: an episode
-  that crashed is a row with its traceback. The paper counts success = neither collision nor
-  out-of-bounds: report that as `safe` beside `success`. An episode that failed was not driven to
-  its end and is not called safe.
+  no plan and no fallback), `goal_missed`, `success`. The denominator is the manifest without
+  what is unusable: an episode that crashed is a row with its traceback. The paper counts success =
+  neither collision nor out-of-bounds: report that as `safe` beside `success`. An episode that
+  failed was not driven to its end and is not called safe.
+- **Unusable**: what nobody could drive (unreadable, no goal, the start inside a road user or off
+  the road, no trajectory). Told before anything is driven, listed by file and reason, outside the
+  rates, inside the count. It is no outcome of a planner.
 - **Road**: the drivable area is the union of the lanelets that are carriageway by their type and
   users: footways, bicycle lanes and crossings that are nothing else are not; bus lanes are, though
   no route leads along them. Gaps between lanelets of up to 0.2 m, less than a tyre's width, are
@@ -178,7 +181,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
 
 
 def failed_score(scenario_id: str, arm: Arm, error: str) -> Score:
-    """The row of an episode that was not driven: an unreadable file, a crashed worker.
+    """The row of an episode that was not driven, for instance as its worker crashed.
 
     Args:
         scenario_id: Id of the scenario.
@@ -188,13 +191,21 @@ def failed_score(scenario_id: str, arm: Arm, error: str) -> Score:
     Returns:
         A planner failure without a step.
     """
-    return Score(
-        scenario=scenario_id,
-        arm=arm,
-        outcome=Outcome.PLANNER_FAILURE,
-        error=error,
-        measures=dict.fromkeys(measured_kinds()),
-    )
+    return _not_driven(scenario_id, arm, Outcome.PLANNER_FAILURE, error)
+
+
+def unusable_score(scenario_id: str, arm: Arm, reason: str) -> Score:
+    """The row of a scenario that nobody could drive.
+
+    Args:
+        scenario_id: Id of the scenario.
+        arm: The arm.
+        reason: The file, and what is wrong with it.
+
+    Returns:
+        A row without a step, which takes part in no figure.
+    """
+    return _not_driven(scenario_id, arm, Outcome.UNUSABLE, reason)
 
 
 def min_time_to_collision(
@@ -236,6 +247,11 @@ def min_time_to_collision(
     )
     smallest = float(times.min(initial=np.inf))
     return smallest if smallest < COLLISION_HORIZON else None
+
+
+def _not_driven(scenario_id: str, arm: Arm, outcome: Outcome, error: str) -> Score:
+    measures = dict.fromkeys(measured_kinds())
+    return Score(scenario=scenario_id, arm=arm, outcome=outcome, error=error, measures=measures)
 
 
 def _goal_step(task: PlanningTask, states: FloatArray, start: int) -> int | None:

@@ -14,7 +14,12 @@ Measure = float | int | bool | None
 
 
 class Outcome(StrEnum):
-    """Outcome of an episode: the first that applies, in this order."""
+    """Outcome of an episode: the first that applies, in this order.
+
+    ``UNUSABLE`` is no outcome of a planner: nobody could drive the scenario, so it was not driven.
+    """
+
+    UNUSABLE = "unusable"
 
     COLLISION = "collision"
     OUT_OF_BOUNDS = "out_of_bounds"
@@ -62,7 +67,8 @@ class Score:
         cycle_ms_p50: Median time of a full cycle (predict and plan), ms.
         cycle_ms_p99: 99th percentile of it, ms.
         fallback_cycles: Cycles in which a fallback was driven.
-        error: What went wrong in a planner failure, or None.
+        error: What went wrong in a planner failure, or why the scenario is unusable: its file and
+            the reason; None otherwise.
         traffic: Name of the traffic; ``replay`` in rows of versions without it.
         measures: Values of the metrics that are measured on the episode, by name
             (``dosplan.scoring.metrics``); None too where a row of an earlier version lacks one.

@@ -200,4 +200,4 @@ def test_deeply_nested_files_are_one_line(
     (scenes / "deep.xml").write_text("<a>" * 200_000)
     ref = next(ref for ref in find_scenarios(scenes) if ref.id == "deep")
     rows = untimed(run_here(configured(tmp_path / "other", scenes)))
-    assert {r["outcome"] for r in rows if r["scenario"] == ref.id} == {Outcome.PLANNER_FAILURE}
+    assert {r["outcome"] for r in rows if r["scenario"] == ref.id} == {Outcome.UNUSABLE}

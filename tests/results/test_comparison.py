@@ -15,6 +15,8 @@ from dosplan.scoring.score import failed_score
 from dosplan.system.files import write_json
 from dosplan.types import Arm, Outcome, Score
 
+USABLE = [outcome for outcome in Outcome if outcome is not Outcome.UNUSABLE]
+
 
 def _rows(outcomes: list[Outcome], arm: Arm = Arm.WITH_DOS, velocity: float = 5.0) -> list[Score]:
     return [
@@ -78,7 +80,7 @@ def test_scenarios_whose_outcome_differs_are_listed() -> None:
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.lists(st.sampled_from(list(Outcome)), min_size=1, max_size=30), st.randoms())
+@given(st.lists(st.sampled_from(USABLE), min_size=1, max_size=30), st.randoms())
 def test_pairing_ignores_the_order_and_sides_mirror(
     outcomes: list[Outcome], random: object
 ) -> None:
@@ -97,6 +99,18 @@ def test_pairing_ignores_the_order_and_sides_mirror(
     assert (none.difference, none.p) == (0.0, 1.0)
     assert none.low == pytest.approx(-(none.high or 0.0))
     assert same.changes == ()
+
+
+def test_what_is_unusable_on_a_side_is_left_out_and_counted() -> None:
+    a = _rows([Outcome.SUCCESS, Outcome.UNUSABLE, Outcome.COLLISION, Outcome.UNUSABLE])
+    b = _rows([Outcome.COLLISION, Outcome.UNUSABLE, Outcome.COLLISION, Outcome.SUCCESS])
+    found = compare_rows(a, b)
+    assert (found.n, found.unusable) == (2, 2)
+    assert found.changes == (Change("s0", Outcome.SUCCESS, Outcome.COLLISION),)
+    success = found.differences["success"]
+    assert (success.n, success.a, success.b) == (2, 0.5, 0.0)
+    none = compare_rows(a[1:2], b[1:2])
+    assert (none.n, none.places, none.unusable, none.differences) == (0, 0, 1, {})
 
 
 def test_other_scenarios_are_refused() -> None:

@@ -82,7 +82,8 @@ def test_a_run_that_is_scored_again_has_its_rows_again(run: RunFolder) -> None:
     assert ends["Goal"] is Outcome.SUCCESS
     assert ends["Missed"] is Outcome.GOAL_MISSED
     assert ends["Turned"] is Outcome.OUT_OF_BOUNDS
-    assert ends["Tiring"] is ends["Unread"] is Outcome.PLANNER_FAILURE
+    assert ends["Tiring"] is Outcome.PLANNER_FAILURE
+    assert ends["Unread"] is Outcome.UNUSABLE
     reacting = rows[0].traffic == "shy-v1"
     assert ends["Struck"] is (Outcome.GOAL_MISSED if reacting else Outcome.COLLISION)
     assert any(row.steps == 5 and row.error for row in rows)

@@ -9,7 +9,8 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,15 +25,15 @@ from dosplan.results.manifest import read_manifest
 from dosplan.results.recording import KEPT_EVERY, Recording
 from dosplan.results.rows import read_rows
 from dosplan.running import run as runner
-from dosplan.running.executor import Results, SerialExecutor, Task
+from dosplan.running.executor import Results, Task, Verdicts, Workers
 from dosplan.running.job import EpisodeResult, Session
-from dosplan.running.progress import ProgressObserver
+from dosplan.running.progress import Observer, ProgressObserver
 from dosplan.running.run import RunConfig, RunError, run
-from dosplan.scenario import ScenarioError, find_scenarios
+from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios
 from dosplan.scoring.score import failed_score
 from dosplan.system import workers
 from dosplan.system.files import FileError, read_json
-from dosplan.types import Arm, Outcome
+from dosplan.types import Arm, Outcome, Score
 from tests.support import traffic
 from tests.support.plugins import PLUGINS
 from tests.support.runs import run_here, write_scenes
@@ -44,7 +45,7 @@ STEPS = 10
 class NoExecutor:
     """Of a run that has nothing to drive."""
 
-    def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
+    def start(self, config: RunConfig) -> AbstractContextManager[Workers]:
         raise AssertionError("something is driven")
 
 
@@ -209,13 +210,11 @@ def _driven(config: RunConfig) -> tuple[RunFolder, list[tuple[str, Arm]]]:
     """The run, and which episodes were driven for it this time."""
     driven: list[tuple[str, Arm]] = []
 
-    class Watched(SerialExecutor):
-        def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
-            for (ref, arm), result in super().drive(config, tasks):
-                driven.append((ref.id, arm))
-                yield (ref, arm), result
+    class Watcher(Observer):
+        def add(self, row: Score) -> None:
+            driven.append((row.scenario, row.arm))
 
-    return run(config, executor=Watched()), driven
+    return run_here(config, Watcher()), driven
 
 
 def _ids(*numbers: int) -> list[str]:
@@ -392,7 +391,16 @@ def test_an_episode_that_never_began_names_the_traffic_and_leaves_no_old_file(
     assert file.is_file()
 
     class Failing:
-        def drive(self, config: RunConfig, tasks: Iterable[Task]) -> Results:
+        @contextmanager
+        def start(self, config: RunConfig) -> Iterator[Workers]:
+            yield FailingWorkers()
+
+    class FailingWorkers:
+        def check(self, refs: Iterable[ScenarioRef]) -> Verdicts:
+            for ref in refs:
+                yield ref, None
+
+        def drive(self, tasks: Iterable[Task]) -> Results:
             for ref, arm in tasks:
                 yield (ref, arm), EpisodeResult(failed_score(ref.id, arm, "took too long"))
 
@@ -560,7 +568,9 @@ def test_a_broken_scenario_file_is_a_row(scenes: Path, tmp_path: Path) -> None:
     file = tmp_path / "ZAM_Broken-1_1_T-1.xml"
     file.write_text("<commonRoad")
     (ref,) = find_scenarios(file)
-    row = Session(_config(tmp_path, scenes)).drive(ref, Arm.WITH_DOS).row
+    session = Session(_config(tmp_path, scenes))
+    assert str(session.check(ref)).startswith(f"{file}: is not complete XML (")
+    row = session.drive(ref, Arm.WITH_DOS).row  # As of a file that broke after it was checked.
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert "ScenarioError" in str(row.error)
 

@@ -262,14 +262,6 @@ def test_one_exact_velocity_has_slack(tmp_path: Path, velocity: float) -> None:
     assert goal.velocity == (1.0, 2.0)
 
 
-def test_goals_of_which_none_lies_on_the_road_are_told(tmp_path: Path) -> None:
-    beside, on = (Goal(position=scenes.rectangle(9.0, 3.0, 80.0, y)) for y in (-4.0, 0.0))
-    assert loaded(tmp_path, problems=[Problem(goals=(beside, on))]).task.final_step == 50
-    text = scenario_xml(scenes.straight_road(), problems=[Problem(goals=(beside, beside))])
-    line = refusal(tmp_path, text)
-    assert line.startswith("planning problem 1000: none of its goals lies on the road; correct")
-
-
 # Time.
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dosplan.scoring.metrics import METRICS, Aggregate, Better, Metric, find_metric, measured_kinds
-from dosplan.scoring.score import failed_score
+from dosplan.scoring.score import failed_score, unusable_score
 from dosplan.types import Arm, Outcome, Score
 
 NO_TIMES = np.empty(0)
@@ -37,6 +37,11 @@ def test_an_episode_that_never_drove_is_a_failure_and_has_no_other_figure(metric
         assert value is False  # It counts in the denominator.
     else:
         assert value is None
+
+
+@pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)
+def test_what_is_unusable_has_no_figure(metric: Metric) -> None:
+    assert metric.value(unusable_score("s", Arm.WITH_DOS, "s.xml: has no lanelets")) is None
 
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)

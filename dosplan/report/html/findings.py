@@ -79,6 +79,8 @@ def answer(pairing: Pairing) -> str:
         Text.
     """
     last, reached = pairing.sides[-1], [_succeeded(side) for side in pairing.sides]
+    if not pairing.scenarios:
+        return "Nothing was driven."
     if pairing.comparison is None:
         return f"Success {_name(last.name)} in {reached[-1]} of {len(last.rows)} scenarios."
     success = pairing.comparison.differences["success"]
@@ -100,6 +102,8 @@ def grounds(pairing: Pairing) -> list[str]:
     Returns:
         Sentences.
     """
+    if not pairing.scenarios:
+        return ["No scenario is usable."]
     sentences = []
     if pairing.comparison is not None:
         metric, success = find_metric("success"), pairing.comparison.differences["success"]

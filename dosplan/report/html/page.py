@@ -30,6 +30,7 @@ from dosplan.report.html.figures import coverage_plot, histogram
 from dosplan.report.html.player import KINDS
 from dosplan.report.html.sides import Pairing
 from dosplan.report.html.thumbnails import HEIGHT, WIDTH
+from dosplan.results.unusable import unusable_title
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Metric
 from dosplan.types import FloatArray, place_of
@@ -97,6 +98,8 @@ def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
         "names": names,
         "paired": pairing.comparison is not None,
         "n": len(cases),
+        "unusable": pairing.unusable,
+        "unusable_title": unusable_title(pairing.unusable, len(cases) + len(pairing.unusable)),
         "answer": findings.answer(pairing),
         "grounds": findings.grounds(pairing),
         "shortcuts": findings.shortcuts(cases, names),

@@ -9,6 +9,7 @@ from dosplan.report.html.scenarios import Scenes
 from dosplan.results.comparison import Comparison
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import Recording
+from dosplan.results.unusable import Unusable
 from dosplan.system.files import FileError
 from dosplan.types import Arm, Score
 
@@ -20,7 +21,7 @@ class Side:
     Attributes:
         name: Its name in the page.
         folder: The run folder.
-        rows: Its rows by scenario.
+        rows: Its rows by scenario; in a pairing, of what is usable.
         arm: The arm.
     """
 
@@ -52,8 +53,9 @@ class Pairing:
         title: What is compared.
         sides: One side, or two: the second is compared with the first.
         comparison: The second against the first; None for one side.
-        scenarios: Ids of the scenarios, in the run's order.
+        scenarios: Ids of the scenarios that are usable, in the run's order.
         scenes: Their scenario files.
+        unusable: The other scenarios, which nobody could drive.
     """
 
     title: str
@@ -61,3 +63,4 @@ class Pairing:
     comparison: Comparison | None
     scenarios: tuple[str, ...]
     scenes: Scenes
+    unusable: tuple[Unusable, ...] = ()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Container, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote
@@ -16,6 +17,7 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, read_manifest
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.results.rows import read_run
+from dosplan.results.unusable import unusable_scenarios
 from dosplan.scenario.sources.catalogue import source_text
 from dosplan.system.files import write_text
 from dosplan.types import Arm
@@ -102,11 +104,15 @@ def _pairing(
     if len(sides) > 1:
         a, b = sides
         comparison = compare_rows([*a.rows.values()], [*b.rows.values()], a.name, b.name)
+    unusable = unusable_scenarios(row for side in sides for row in side.rows.values())
+    left_out = {one.scenario for one in unusable}
+    usable = [scenario for scenario in sides[0].rows if scenario not in left_out]
     return Pairing(
         title=title,
-        sides=sides,
+        sides=tuple(replace(side, rows={s: side.rows[s] for s in usable}) for side in sides),
         comparison=comparison,
-        scenarios=tuple(sides[0].rows),
+        scenarios=tuple(usable),
+        unusable=unusable,
         scenes=find_scenes(
             manifest.config.source if source is None else source, cached=manifest.config.cache
         ),

@@ -133,11 +133,6 @@ def _scenario(document: Document, ref: ScenarioRef, ego_optional: bool) -> Scena
     road_map = read.road_map
     if not any(lanelet.for_cars for lanelet in road_map.lanelets):
         raise FaultError("has no lanelet for cars; the ego needs one")
-    if not any(_on_road(goal, road_map) for goal in problem.goals):
-        raise FaultError(
-            f"planning problem {problem.id}: none of its goals lies on the road; correct their "
-            "<position>"
-        )
     start, centre = problem.start, vehicle.centre(problem.start)
     _check_start(road_map, centre, float(start[EGO_VELOCITY]), vehicle)
     tracks, notes = read_tracks(root, problem.resampling, final_step, road_map.drivable)
@@ -273,12 +268,6 @@ def _check_start(
         raise FaultError(
             f"starts the ego {distance:.1f} m off the road; correct its initial position"
         )
-
-
-def _on_road(goal: GoalState, road_map: RoadMap) -> bool:
-    return goal.region is None or any(
-        shapely.intersects(area, goal.region) for area in (road_map.drivable, road_map.open_ends)
-    )
 
 
 def _goal(state: Element, resampling: Resampling, lanelets: Mapping[int, Lanelet]) -> GoalState:

@@ -1,0 +1,76 @@
+"""The scenarios of a run that nobody could drive: listed, and in no figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from dosplan.types import Outcome, Score
+
+LISTED: Final = 10
+"""How many are listed where there is no room for all."""
+
+
+@dataclass(frozen=True)
+class Unusable:
+    """A scenario that nobody could drive.
+
+    Attributes:
+        scenario: Its id.
+        file: Its file, as the run found it.
+        reason: What is wrong, and what to do.
+    """
+
+    scenario: str
+    file: str
+    reason: str
+
+
+def unusable_scenarios(rows: Iterable[Score]) -> tuple[Unusable, ...]:
+    """Lists the scenarios of some rows that nobody could drive.
+
+    Args:
+        rows: Rows of a run; all arms say the same.
+
+    Returns:
+        Each once, in the order of the rows.
+    """
+    errors = {row.scenario: row.error or "" for row in rows if row.outcome is Outcome.UNUSABLE}
+    parts = {scenario: error.partition(": ") for scenario, error in errors.items()}
+    return tuple(Unusable(name, file, reason) for name, (file, _, reason) in parts.items())
+
+
+def unusable_title(found: Sequence[Unusable], total: int) -> str:
+    """Says how many scenarios are unusable.
+
+    Args:
+        found: The unusable ones.
+        total: Number of all.
+
+    Returns:
+        A line.
+    """
+    return (
+        f"{len(found)} of {total} scenarios are unusable: nobody could drive them, and no figure "
+        "counts them"
+    )
+
+
+def unusable_lines(found: Sequence[Unusable], total: int) -> list[str]:
+    """Tells which scenarios are unusable, and why.
+
+    Args:
+        found: The unusable ones.
+        total: Number of all scenarios.
+
+    Returns:
+        A line that counts them, and one each for the first ``LISTED``; none where there is none.
+    """
+    if not found:
+        return []
+    lines = [unusable_title(found, total)]
+    lines += [f"  {one.file}: {one.reason}" for one in found[:LISTED]]
+    if len(found) > LISTED:
+        lines.append(f"  and {len(found) - LISTED} more; summary.json lists them all")
+    return lines

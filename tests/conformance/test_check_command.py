@@ -53,7 +53,8 @@ BROKEN = {
     "NeedsCompany": (
         "no_road_users",
         "raised ValueError: zero-size array to reduction operation minimum which has no identity "
-        "(bad_plugins.py); where nobody is on the scene, the arrays of road users have no rows",
+        "(bad_plugins.py); where no road user is on the scene, the arrays of road users have no "
+        "rows",
     ),
     "Peeks": (
         "future_unseen",
@@ -62,8 +63,8 @@ BROKEN = {
     ),
     "StuckOnCompany": (
         "arms_agree_without_predictions",
-        "with nobody predicted, the two arms differ in Plan.inputs, Plan.states; leave out road "
-        "users and steps where Occupancy.valid is False",
+        "with no road user predicted, the two arms differ in Plan.inputs, Plan.states; leave out "
+        "road users and steps where Occupancy.valid is False",
     ),
     "Reorders": (
         "predicts",

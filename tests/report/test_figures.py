@@ -383,7 +383,7 @@ def test_an_arm_in_which_nobody_drove_is_told(results: Path, tmp_path: Path) -> 
         for row in read_rows(path)
     ]
     write_rows(path, rows)
-    with pytest.raises(FileError, match=r"suite holds an arm in which nobody drove a step"):
+    with pytest.raises(FileError, match=r"suite holds an arm in which no step was driven"):
         planning.draw(Published(tmp_path))
 
 

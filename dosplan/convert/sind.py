@@ -19,6 +19,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from dosplan.convert.windows import Track
 from dosplan.scenario.commonroad.document import ScenarioError
 from dosplan.types import STEP_SECONDS, FloatArray, IntArray
 
@@ -53,39 +54,6 @@ LFS_HEADER: Final = b"version https://git-lfs.github.com/spec/"
 _POINT: Final = ("x", "y", "vx", "vy")
 _BODY: Final = ("yaw_rad", "length", "width")
 _MIN_ROWS: Final = 2
-
-
-@dataclass(frozen=True)
-class Track:
-    """A road user, or a stretch of one whose track has a gap.
-
-    Attributes:
-        name: Its ``track_id``.
-        label: Its ``agent_type``.
-        size: Length and width, m.
-        first: First step, of 0.1 s, from the record's frame 0 on.
-        states: (K, 4) centre x, y, m, heading, rad, unwrapped, and velocity along it, m/s.
-    """
-
-    name: str
-    label: str
-    size: tuple[float, float]
-    first: int
-    states: FloatArray
-
-    @property
-    def kind(self) -> str:
-        """CommonRoad obstacle type."""
-        return KINDS[self.label]
-
-    @property
-    def last(self) -> int:
-        """Last step."""
-        return self.first + len(self.states) - 1
-
-    def window(self, first: int, last: int) -> FloatArray:
-        """States at the steps from ``first`` to ``last``, both of which it must cover."""
-        return self.states[first - self.first : last - self.first + 1]
 
 
 @dataclass(frozen=True)
@@ -255,7 +223,7 @@ def _tracks(path: Path, name: str, label: str, table: FloatArray) -> Iterator[Tr
             continue
         first, stretch = _at_steps(time[begin:end], states[begin:end])
         if len(stretch) >= _MIN_ROWS:
-            yield Track(name, label, size, first, stretch)
+            yield Track(name, label, KINDS[label], size, first, stretch)
 
 
 def _facing(velocity: FloatArray) -> FloatArray:

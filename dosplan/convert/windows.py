@@ -1,15 +1,18 @@
-"""Windows of a record: all of it in pieces, and the moments in which a vehicle becomes the ego."""
+"""Windows of a record: all of it in pieces, and the moments in which a vehicle becomes the ego.
+
+Numbers of steps below are of 0.1 s; a record may have steps of any length.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from dosplan.convert.sind import Track
-from dosplan.types import HISTORY_STEPS, FloatArray
+from dosplan.types import HISTORY_STEPS, STEP_SECONDS, FloatArray
 
 PIECE: Final = 600
 """Steps of a piece of a record: a minute."""
@@ -27,8 +30,38 @@ BRAKING: Final = 3.0
 """Deceleration of the stop that must end short of the arrival, m/s2, ..."""
 MARGIN: Final = 12.0
 """... by this much, m."""
-EGO_LABEL: Final = "car"
-"""The only kind that dosplan's ego, a car, can stand in for."""
+EGO_KIND: Final = "car"
+"""The only CommonRoad obstacle type that dosplan's ego, a car, can stand in for."""
+
+
+@dataclass(frozen=True)
+class Track:
+    """A road user, or a stretch of one whose track has a gap.
+
+    Attributes:
+        name: What the record calls it.
+        label: What the record says it is.
+        kind: CommonRoad obstacle type.
+        size: Length and width, m.
+        first: First step of the record.
+        states: (K, 4) centre x, y, m, heading, rad, unwrapped, and velocity along it, m/s.
+    """
+
+    name: str
+    label: str
+    kind: str
+    size: tuple[float, float]
+    first: int
+    states: FloatArray
+
+    @property
+    def last(self) -> int:
+        """Last step."""
+        return self.first + len(self.states) - 1
+
+    def window(self, first: int, last: int) -> FloatArray:
+        """States at the steps from ``first`` to ``last``, both of which it must cover."""
+        return self.states[first - self.first : last - self.first + 1]
 
 
 @dataclass(frozen=True)
@@ -37,12 +70,14 @@ class Moment:
 
     Attributes:
         ego: The vehicle that is taken out.
+        dt: Step of the record, s.
         first: Step of the record that becomes step 0.
         start: Step of the record at which the ego starts.
         arrival: Step of the record at which its recorded drive ends.
     """
 
     ego: Track
+    dt: float
     first: int
     start: int
     arrival: int
@@ -50,7 +85,12 @@ class Moment:
     @property
     def last(self) -> int:
         """Last step of the record that belongs to the scenario."""
-        return self.arrival + SLACK
+        return self.arrival + _steps(SLACK, self.dt)
+
+    @property
+    def goal_first(self) -> int:
+        """First step of the record at which the goal counts."""
+        return self.arrival - _steps(EARLY, self.dt)
 
     def drive(self) -> FloatArray:
         """(K, 4) states of the recorded drive from start to arrival."""
@@ -92,22 +132,31 @@ def present(
             yield index, track, begin, track.window(begin, end)
 
 
-def moments(track: Track) -> Iterator[Moment]:
+def moments(track: Track, dt: float) -> Iterator[Moment]:
     """Stretches of a vehicle's drive that an ego cannot solve by braking, in the order of time.
 
     Args:
-        track: The vehicle, of ``EGO_LABEL``.
+        track: The vehicle, of ``EGO_KIND``.
+        dt: Step of the record, s.
 
     Yields:
         A moment for each start at which the drive is long enough, moves, and goes further than
         braking would.
     """
-    least, most = DRIVE
-    for start in range(max(track.first, 0), track.last - least + 1, START_STRIDE):
+    least, most = (_steps(count, dt) for count in DRIVE)
+    # A whole history, where its first instant lies between two steps, too.
+    before = math.ceil((HISTORY_STEPS - 1) * STEP_SECONDS / dt - 1e-6)
+    stride = max(_steps(START_STRIDE, dt), 1)
+    for start in range(max(track.first, 0), track.last - least + 1, stride):
         arrival = min(start + most, track.last)
-        moment = Moment(track, max(start - HISTORY_STEPS + 1, 0), start, arrival)
+        moment = Moment(track, dt, max(start - before, 0), start, arrival)
         if _asks_for_driving(moment.drive()):
             yield moment
+
+
+def _steps(count: int, dt: float) -> int:
+    """Steps of ``dt`` that last as long as some of 0.1 s."""
+    return round(count * STEP_SECONDS / dt)
 
 
 def _asks_for_driving(states: FloatArray) -> bool:

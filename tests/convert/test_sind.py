@@ -18,8 +18,8 @@ from commonroad.common.util import FileFormat
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dosplan.convert.files import EPISODES_FROM, USER_IDS, convert_sind
 from dosplan.convert.sind import PEDESTRIAN_SIZE, Lights, read_record
+from dosplan.convert.sind_files import EPISODES_FROM, USER_IDS, convert_sind
 from dosplan.convert.windows import EARLY, PIECE, SLACK, moments, pieces
 from dosplan.evaluation.evaluate import EvaluationConfig, evaluate
 from dosplan.evaluation.methods import Method
@@ -260,7 +260,7 @@ def test_moments_ask_for_driving(tmp_path: Path) -> None:
         motion = Motion("1", "car", straight(-90.0, 0.0, 0.0, speed, acceleration), end=end)
         name = f"r{speed:g}{acceleration:g}{end:g}".replace(".", "").replace("-", "m")
         (track,) = read_record(write_record(tmp_path / name / "r", [motion])).tracks
-        return [moment.start for moment in moments(track)]
+        return [moment.start for moment in moments(track, 0.1)]
 
     assert found(10.0, 0.0, 12.0) == [0, 20, 40, 60]  # 45 steps are left after 6 s, not after 8.
     assert found(10.0, 0.0, 4.0) == []  # Too short.

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from dosplan.convert.files import USER_IDS, convert_sind
 from dosplan.convert.lanelet2 import Lanelet2Map, read_lanelet2
 from dosplan.convert.sind import VEHICLES, find_map, read_record
+from dosplan.convert.sind_files import USER_IDS, convert_sind
 from dosplan.scenario import ScenarioError, find_scenarios, load_recording, load_scenario
 from tests.support.sind_record import Array, Motion, Place, write_record
 

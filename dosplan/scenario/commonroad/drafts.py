@@ -1,7 +1,7 @@
 """What a CommonRoad file is made of, before ``dosplan.scenario.commonroad.writer`` writes it.
 
 Ids are CommonRoad's: whole numbers that nothing else in the file has. Positions are in m,
-headings in rad, times in steps of 0.1 s.
+headings in rad, times in steps of the file: of 0.1 s in those that are written whole.
 """
 
 from __future__ import annotations

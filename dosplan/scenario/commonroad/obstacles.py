@@ -284,7 +284,7 @@ def _interactive(dynamic: Sequence[Element]) -> str | None:
 
 
 def _dynamic(element: Element, resampling: Resampling, _: shapely.Geometry) -> _Obstacle:
-    steps, rows = _recorded(element, resampling.file_seconds)
+    steps, rows = recorded(element, resampling.file_seconds)
     alone = element.find("trajectory/state") is None
     return _Obstacle(
         id=identity(element),
@@ -369,8 +369,20 @@ def _free_ids(root: Element, read: Sequence[_Obstacle]) -> Iterable[int]:
     return range(first + 1, first + 1 + sum(len(o.bodies) for o in read))
 
 
-def _recorded(element: Element, dt: float) -> tuple[IntArray, FloatArray]:
-    """Steps and states (M, 4) of a dynamic obstacle, gaps in heading and velocity filled."""
+def recorded(element: Element, dt: float) -> tuple[IntArray, FloatArray]:
+    """What was recorded of a dynamic obstacle.
+
+    Args:
+        element: The obstacle.
+        dt: Step of the file, s.
+
+    Returns:
+        (M,) steps of the file in order, and (M, 4) states at them; headings and velocities that
+        the file leaves out are derived from the positions.
+
+    Raises:
+        FaultError: A state cannot be read, or two of one step contradict each other.
+    """
     first = child(element, "initialState")
     with naming("its initial state"):
         begin = step(first)

@@ -61,7 +61,7 @@ def scenario_xml(
     for user, name in sorted(named, key=lambda pair: not pair[0].static):
         _user(root, user, name)
     if problem is not None:
-        _problem(root, problem, next(lanelet_map.free_ids))
+        add_problem(root, problem, next(lanelet_map.free_ids), STEP_SECONDS)
     return bytes(tostring(root, xml_declaration=True, encoding="utf-8"))
 
 
@@ -218,12 +218,20 @@ def _user(root: Element, user: UserDraft, name: int) -> None:
         _state(trajectory, "state", state, step)
 
 
-def _problem(root: Element, problem: ProblemDraft, name: int) -> None:
+def add_problem(root: Element, problem: ProblemDraft, name: int, dt: float) -> None:
+    """Adds a planning problem to a file.
+
+    Args:
+        root: Root element of the file.
+        problem: The planning problem.
+        name: Its id.
+        dt: Step of the file, s.
+    """
     drive, goal = problem.drive, problem.goal
     element = SubElement(root, "planningProblem", id=str(name))
     _state(element, "initialState", drive[0], problem.start)
     initial = element[0]
-    _exact(initial, "yawRate", _number((drive[1, 2] - drive[0, 2]) / STEP_SECONDS, 4))
+    _exact(initial, "yawRate", _number((drive[1, 2] - drive[0, 2]) / dt, 4))
     _exact(initial, "slipAngle", "0")
     target = _child(element, "goalState")
     _interval(target, "time", str(problem.goal_first), str(problem.goal_last))

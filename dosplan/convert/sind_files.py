@@ -1,4 +1,4 @@
-"""Writes a record as CommonRoad files.
+"""Writes a record of SinD as CommonRoad files.
 
 ``recordings/`` holds the whole record in pieces without a planning problem: what predictors are
 trained and evaluated on. ``scenarios/`` holds an episode for each car that makes one: what
@@ -15,36 +15,19 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
+from dosplan.convert.episodes import RECORDINGS, SCENARIOS, find_episode, problem_of, write
 from dosplan.convert.lanelet2 import FIRST_ID, Lanelet2Map, read_lanelet2
 from dosplan.convert.sind import Record, find_map, read_record
-from dosplan.convert.windows import EARLY, EGO_LABEL, Moment, moments, pieces, present
-from dosplan.scenario import ScenarioError, ScenarioRef, parse_scenario
-from dosplan.scenario.commonroad.drafts import (
-    Goal,
-    Header,
-    LaneletMap,
-    Light,
-    ProblemDraft,
-    UserDraft,
-)
-from dosplan.scenario.commonroad.writer import compress, scenario_xml
-from dosplan.scoring.score import score
-from dosplan.simulation.loop import known_drive
-from dosplan.system.files import write_bytes
-from dosplan.types import STEP_SECONDS, Arm, Outcome
+from dosplan.convert.windows import EGO_KIND, Moment, pieces, present
+from dosplan.scenario.commonroad.drafts import Header, LaneletMap, Light, UserDraft
+from dosplan.scenario.commonroad.writer import scenario_xml
+from dosplan.types import STEP_SECONDS
 
-RECORDINGS: Final = "recordings"
-SCENARIOS: Final = "scenarios"
 USER_IDS: Final = 100_001
 """CommonRoad id of the first track; those of the lights are 1, 2, ..., the columns of the table."""
 EPISODES_FROM: Final = 1_001
 """Configuration number of the episode of the first track; pieces have lower ones."""
 TAGS: Final = frozenset({"intersection", "urban"})
-GOAL_WIDTH: Final = 3.4
-UNUSABLE: Final = "unusable"
-"""Reason for moments that dosplan cannot read, such as one far off the road."""
 
 
 @dataclass(frozen=True)
@@ -94,21 +77,16 @@ def convert_sind(
             old.unlink()
     recordings = 0
     for number, first, last in pieces(record.tracks):
-        _write(out / RECORDINGS, source.name(number), _xml(source, number, first, last, None))
+        write(out / RECORDINGS, source.name(number), _xml(source, number, first, last, None))
         recordings += 1
     refused: Counter[str] = Counter()
     scenarios = 0
-    cars = [(i, track) for i, track in enumerate(record.tracks) if track.label == EGO_LABEL]
+    cars = [(i, track) for i, track in enumerate(record.tracks) if track.kind == EGO_KIND]
     for done, (index, track) in enumerate(cars, start=1):
-        for moment in moments(track):
-            number = EPISODES_FROM + index
-            xml = _xml(source, number, moment.first, moment.last, moment)
-            objection = _objection(Path(f"{source.name(number)}.xml"), xml, moment)
-            if objection is None:
-                _write(out / SCENARIOS, source.name(number), xml)
-                scenarios += 1
-                break
-            refused[objection] += 1
+        xml = find_episode(track, STEP_SECONDS, _episode(source, EPISODES_FROM + index), refused)
+        if xml is not None:
+            write(out / SCENARIOS, source.name(EPISODES_FROM + index), xml)
+            scenarios += 1
         progress(done, len(cars))
     return {
         "record": folder.name,
@@ -132,8 +110,8 @@ def _scene(folder: Path) -> str:
     return f"{city}{record}" or "SinD"
 
 
-def _write(folder: Path, name: str, xml: bytes) -> None:
-    write_bytes(folder / f"{name}.xml.gz", compress(xml))
+def _episode(source: _Source, number: int) -> Callable[[Moment], bytes]:
+    return lambda moment: _xml(source, number, moment.first, moment.last, moment)
 
 
 def _xml(source: _Source, number: int, first: int, last: int, moment: Moment | None) -> bytes:
@@ -148,7 +126,7 @@ def _xml(source: _Source, number: int, first: int, last: int, moment: Moment | N
         Header(source.name(number), f"SinD, record {source.record.folder.name}", TAGS),
         _map(source, first, last),
         users,
-        None if moment is None else _problem(moment),
+        None if moment is None else problem_of(moment),
     )
 
 
@@ -173,27 +151,3 @@ def _map(source: _Source, first: int, last: int) -> LaneletMap:
         intersections=(),
         free_ids=count(FIRST_ID + len(source.lanelet_map.lanelets)),
     )
-
-
-def _problem(moment: Moment) -> ProblemDraft:
-    drive, arrival = moment.drive(), moment.arrival - moment.first
-    return ProblemDraft(
-        drive=drive,
-        start=moment.start - moment.first,
-        goal_first=arrival - EARLY,
-        goal_last=moment.last - moment.first,
-        goal=Goal(max(10.0, 0.8 * float(drive[-1, 3])), GOAL_WIDTH, None, None),
-    )
-
-
-def _objection(path: Path, xml: bytes, moment: Moment) -> str | None:
-    """Why a moment makes no scenario: the recorded drive must succeed under dosplan's scoring."""
-    try:
-        scenario = parse_scenario(ScenarioRef(path, ""), xml)
-    except ScenarioError:
-        return UNUSABLE
-    vehicle = scenario.task.vehicle
-    states = np.array([vehicle.state_at(row[:2], row[2], row[3]) for row in moment.drive()])
-    start = moment.start - moment.first
-    driven = score(scenario, known_drive(scenario, Arm.WITHOUT_DOS, start, states))
-    return None if driven.outcome is Outcome.SUCCESS else driven.outcome.value

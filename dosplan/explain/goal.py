@@ -6,12 +6,20 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import shapely
 
+from dosplan.geometry import to_body
 from dosplan.geometry.goal import TOLERANCE, GoalMiss, goal_miss
 from dosplan.results.drive import Drive
-from dosplan.types import USER_HEADING, USER_VELOCITY, GoalState
+from dosplan.types import USER_HEADING, USER_VELOCITY, FloatArray, GoalState
 
 _DEGREE: Final = np.pi / 180.0
+_PLACES: Final = {
+    "ahead": "it lay ahead",
+    "left": "the ego passed beside it, which lay to the left",
+    "right": "the ego passed beside it, which lay to the right",
+    "behind": "it lay behind",
+}
 
 
 @dataclass(frozen=True)
@@ -28,6 +36,8 @@ class GoalFacts:
         seconds: Time of that step since the start, s.
         at_end: Whether it is the last step of the drive.
         distance: From the ego's centre to the region, m.
+        side: Where the region is, as the ego sees it there: ``ahead``, ``left``, ``right`` or
+            ``behind``; None where the ego is in it.
         late: Seconds after the goal's window; negative before it.
         heading_off: Turn beyond the heading's interval, rad, counter-clockwise positive.
         velocity: Of the ego, m/s.
@@ -41,6 +51,7 @@ class GoalFacts:
     seconds: float
     at_end: bool
     distance: float
+    side: str | None
     late: float
     heading_off: float
     velocity: float
@@ -60,17 +71,21 @@ class GoalFacts:
 
     def _position(self) -> str:
         when = ", at the last step" if self.at_end else ""
+        where = _PLACES.get(self.side or "", "the ego was in it")
+        if self.side == "ahead" and self.at_end:
+            where = "it still lay ahead: the ego would have come too late"
         return (
             f"position never reached: closest {self.distance:.2f} m, {self.seconds:.1f} s after "
-            f"the start{when}, driving {self.velocity:.1f} m/s"
+            f"the start{when}, driving {self.velocity:.1f} m/s; {where}"
         )
 
     def _time(self) -> str:
         first, last = self.window
         side = "late" if self.late > 0.0 else "early"
+        meant = "" if self.late > 0.0 else " (driving through it before that is a miss)"
         return (
             f"in place {self.seconds:.1f} s after the start at best, {abs(self.late):.1f} s too "
-            f"{side}: it counts from {first:.1f} s to {last:.1f} s"
+            f"{side}: it counts from {first:.1f} s to {last:.1f} s{meant}"
         )
 
     def _heading(self) -> str:
@@ -117,6 +132,7 @@ def _facts(drive: Drive, number: int, goal: GoalState) -> GoalFacts:
         seconds=best * dt,
         at_end=best == len(ego) - 1,
         distance=miss.distance,
+        side=_side(goal, ego[best]),
         late=miss.steps * dt,
         heading_off=miss.heading,
         velocity=float(ego[best, USER_VELOCITY]),
@@ -124,6 +140,19 @@ def _facts(drive: Drive, number: int, goal: GoalState) -> GoalFacts:
         window=(drive.seconds(goal.first_step), drive.seconds(goal.last_step)),
         velocity_window=goal.velocity,
     )
+
+
+def _side(goal: GoalState, row: FloatArray) -> str | None:
+    """On which side of the ego the nearest point of a goal's region is."""
+    if goal.region is None:
+        return None
+    near = shapely.shortest_line(shapely.Point(row[:2]), goal.region)
+    if shapely.length(near) <= TOLERANCE:
+        return None
+    x, y = to_body(shapely.get_coordinates(near)[1:], row[:3])[0]
+    if abs(y) > abs(x):
+        return "left" if y > 0.0 else "right"
+    return "ahead" if x > 0.0 else "behind"
 
 
 def _rank(miss: GoalMiss) -> tuple[float, int, float]:

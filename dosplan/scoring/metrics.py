@@ -28,6 +28,7 @@ from dosplan.types import (
     Scenario,
     Score,
     SolveReport,
+    SolveStatus,
     Tracks,
 )
 
@@ -251,8 +252,13 @@ def _share(
 def _of_cycles(
     figure: Callable[[list[SolveReport]], float | int],
 ) -> Callable[[ScoredPart], float | int | None]:
-    """A measure of the solver's reports; None where no cycle ran."""
-    return lambda part: figure(part.reports) if part.cycles.size else None
+    """A measure of the solver's reports; None where no cycle asked a solver."""
+
+    def measure(part: ScoredPart) -> float | int | None:
+        reports = [r for r in part.reports if r.status is not SolveStatus.NOT_OPTIMISED]
+        return figure(reports) if reports else None
+
+    return measure
 
 
 METRICS: tuple[Metric, ...] = (
@@ -440,7 +446,7 @@ METRICS: tuple[Metric, ...] = (
         title="Solver iterations (median)",
         short="Iterations",
         unit="",
-        definition="median of the solver's iterations in a planning cycle",
+        definition="median of the solver's iterations in a planning cycle; planners that optimise",
         aggregate=Aggregate.MEAN,
         group=Group.SOLVER,
         better=Better.LOWER,
@@ -451,7 +457,7 @@ METRICS: tuple[Metric, ...] = (
         title="Solver iterations (most)",
         short="Most iterations",
         unit="",
-        definition="the most iterations of the solver in a planning cycle",
+        definition="the most iterations of the solver in a planning cycle; planners that optimise",
         aggregate=Aggregate.LARGEST,
         group=Group.SOLVER,
         better=Better.LOWER,
@@ -464,7 +470,8 @@ METRICS: tuple[Metric, ...] = (
         title="Largest slack of a set",
         short="Slack",
         unit="",
-        definition="largest slack of a set constraint, in normalised set distance",
+        definition="largest slack of a set constraint, in normalised set distance; planners that "
+        "optimise",
         aggregate=Aggregate.LARGEST,
         group=Group.SOLVER,
         better=Better.LOWER,
@@ -475,7 +482,8 @@ METRICS: tuple[Metric, ...] = (
         title="Cycles whose plan enters a set",
         short="Slack cycles",
         unit="",
-        definition=f"planning cycles whose plan enters a set, by a slack above {SLACK_SEEN:g}",
+        definition=f"planning cycles whose plan enters a set, by a slack above {SLACK_SEEN:g}; "
+        "planners that optimise",
         aggregate=Aggregate.MEAN,
         group=Group.SOLVER,
         better=Better.LOWER,
@@ -487,7 +495,7 @@ METRICS: tuple[Metric, ...] = (
         title="Largest distance of a plan off the road",
         short="Road slack",
         unit="m",
-        definition="how far a plan leaves the road at most",
+        definition="how far a plan leaves the road at most; planners that optimise",
         aggregate=Aggregate.LARGEST,
         group=Group.SOLVER,
         better=Better.LOWER,
@@ -498,7 +506,7 @@ METRICS: tuple[Metric, ...] = (
         title="Cycles without a plan of the solver",
         short="Solver failures",
         unit="",
-        definition="planning cycles in which the solver gave no plan",
+        definition="planning cycles in which the solver gave no plan; planners that optimise",
         aggregate=Aggregate.MEAN,
         group=Group.SOLVER,
         better=Better.LOWER,

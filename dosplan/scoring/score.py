@@ -17,6 +17,10 @@ Definitions
 - **Unusable**: what nobody could drive (unreadable, no goal, the start inside a road user or off
   the road, no trajectory). Told before anything is driven, listed by file and reason, outside the
   rates, inside the count. It is no outcome of a planner.
+- **Goal missed**: at no step is the ego's centre in a goal's region, within its time window, with
+  heading and velocity within its intervals. So the ego passes beside it, comes too late, or is in
+  it with the wrong heading or speed. Too early is a miss as well: who has driven through the region
+  before the window opens has not reached the goal. `dosplan explain` tells which, and by how much.
 - **Road**: the drivable area is the union of the lanelets that are carriageway by their type and
   users: footways, bicycle lanes and crossings that are nothing else are not; bus lanes are, though
   no route leads along them. Gaps between lanelets of up to 0.2 m, less than a tyre's width, are

@@ -299,19 +299,21 @@ def goal_of(found: Explanation) -> GoalFacts:
             GoalState(0, 50, shapely.box(60.0, -2.0, 70.0, 2.0), velocity=(4.0, 6.0)),
             ("position",),
             {"distance": 60.0 - 51.4227, "seconds": 5.0},
-            "position never reached: closest 8.58 m, 5.0 s after the start, at the last step",
+            "position never reached: closest 8.58 m, 5.0 s after the start, at the last step, "
+            "driving 10.0 m/s; it still lay ahead: the ego would have come too late",
         ),
         (
             GoalState(0, 50, shapely.box(20.0, 3.0, 30.0, 5.0)),
             ("position",),
-            {"distance": 3.0},
-            "closest 3.00 m",
+            {"distance": 3.0, "side": "left"},
+            "the ego passed beside it, which lay to the left",
         ),
         (  # Left behind after step 28.
             GoalState(40, 50, shapely.box(20.0, -2.0, 30.0, 2.0)),
             ("time",),
             {"late": -1.2, "seconds": 2.8},
-            "2.8 s after the start at best, 1.2 s too early: it counts from 4.0 s to 5.0 s",
+            "2.8 s after the start at best, 1.2 s too early: it counts from 4.0 s to 5.0 s "
+            "(driving through it before that is a miss)",
         ),
         (  # Reached at step 47.
             GoalState(0, 40, shapely.box(48.0, -2.0, 60.0, 2.0)),
@@ -429,6 +431,47 @@ def test_what_a_solver_leaves_of_zero_is_no_slack(
     assert facts.slack_cycles == (since is not None)
 
 
+@pytest.mark.parametrize("arm", list(Arm))
+def test_of_a_planner_without_a_solver_it_is_computed_which_plans_enter_a_set(
+    tmp_path: Path, arm: Arm
+) -> None:
+    silent = dict.fromkeys(range(60), SolveReport())
+    scenario = straight_scenario(braking_car(), velocity=15.0)
+    found = explained(tmp_path / "hit", scenario, planner=Coast(silent), arm=arm)
+    facts = planning_of(found)
+    assert found.outcome is Outcome.COLLISION
+    assert facts.computed
+    assert facts.slack_cycles > 0
+    assert facts.slack_since is not None
+    assert facts.pressing == {100: facts.slack_cycles}
+    assert (facts.max_slack, facts.max_road_slack, facts.iterations_max) == (None, None, None)
+    text = "\n".join(found.lines())
+    assert f"{facts.slack_cycles} of {facts.cycles} plans enter a set" in text
+    assert "(computed from the plans and the sets that are kept)" in text
+    assert "no solver: the planner does not optimise; fallback: never" in text
+    assert "0.00" not in text.partition("planning,")[2].partition("smallest")[0]
+
+
+def test_a_plan_beside_a_set_does_not_enter_it(tmp_path: Path) -> None:
+    # The car drives beside the ego; sides 2 m wide, the sets discs of 1 m around its centre.
+    silent = dict.fromkeys(range(60), SolveReport())
+    for beside, entering in ((6.0, False), (2.6, True)):
+        tracks = steady_tracks([[0.0, beside, 0.0, 10.0]], steps=60)
+        scenario = straight_scenario(tracks, final_step=30)
+        drive = Drive.of(scenario, run_episode(scenario, Coast(silent), Discs(1.0), Arm.WITH_DOS))
+        facts = planning_of(explain_drive(drive))
+        assert (facts.slack_cycles == facts.cycles) is entering
+        assert (facts.slack_cycles > 0) is entering
+
+
+def test_a_planner_without_a_solver_has_no_figures_of_one() -> None:
+    scenario = straight_scenario(final_step=30)
+    silent = Coast(dict.fromkeys(range(60), SolveReport()))
+    row = score(scenario, run_episode(scenario, silent, Discs(1.0), Arm.WITH_DOS))
+    assert row.measures == dict.fromkeys(measured_kinds())
+    assert '"max_slack": null' in row_line(row)
+
+
 def test_telemetry_reaches_the_row_over_the_drive_alone() -> None:
     reports = {
         step: SolveReport(
@@ -487,7 +530,7 @@ def test_episode_files_of_earlier_versions_are_read(tmp_path: Path) -> None:
     assert back.active_ids == ((),) * 10
     found = explain_drive(Drive(score(scenario, episode), back, scenario))
     assert planning_of(found).max_road_slack is None
-    assert "road slack was not recorded" in "\n".join(found.lines())
+    assert "road slack was not kept" in "\n".join(found.lines())
 
 
 def test_another_scenario_is_refused(tmp_path: Path) -> None:

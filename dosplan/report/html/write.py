@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 from dosplan.report.html.page import build_page
@@ -134,6 +134,7 @@ def _facts(manifest: RunManifest) -> dict[str, str]:
     facts = {
         "Planner": manifest.planner,
         "Predictor": manifest.predictor,
+        "Sets and predictions": _settings(manifest.settings.get("predictor", {})),
         "Traffic": manifest.traffic,
         "Options": ", ".join(f"{name} = {value}" for name, value in options.items()),
         "Scenarios": f"{len(manifest.scenarios)} of {source_text(config.source)}",
@@ -143,6 +144,12 @@ def _facts(manifest: RunManifest) -> dict[str, str]:
         "Rank": "" if config.ranked else "unranked: the predictor may see the future",
     }
     return {name: value for name, value in facts.items() if value}
+
+
+def _settings(settings: Mapping[str, Any]) -> str:
+    """What a plug-in's settings are, defaults included, but those that are null."""
+    told = {name: value for name, value in settings.items() if value is not None}
+    return ", ".join(f"{name} = {value}" for name, value in told.items())
 
 
 def _address(target: Path, page: Path) -> str:

@@ -12,6 +12,7 @@ from dosplan.api import Planner, Predictor
 from dosplan.plugins.registry import create_planner, create_predictor
 from dosplan.results.rows import row_line
 from dosplan.scoring.score import score
+from dosplan.scoring.usable import unusable
 from dosplan.simulation.loop import run_episode
 from dosplan.types import Arm, EpisodeEnd, Scenario
 from tests.fuzz.harness import check_message
@@ -20,7 +21,7 @@ _STEPS: Final = 4
 
 
 def check_usable(scenario: Scenario) -> None:
-    """Raises where a scenario holds what no planner or scorer could use."""
+    """Raises where a scenario holds what no planner or scorer could use, or is told unclearly."""
     task, tracks, route = scenario.task, scenario.tracks, scenario.task.route
     assert scenario.id
     assert 0 <= task.start_step < task.final_step < tracks.steps
@@ -33,6 +34,8 @@ def check_usable(scenario: Scenario) -> None:
     assert np.all(route.left >= 0.0)
     assert np.all(route.right <= 0.0)
     assert np.all(route.speed_limit >= 0.0), route.speed_limit.min()
+    if (reason := unusable(scenario)) is not None:
+        check_message(reason, "planning problem")
 
 
 def drive(

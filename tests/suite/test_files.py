@@ -13,6 +13,7 @@ import shapely
 from dosplan.scenario import load_scenario
 from dosplan.scoring.bounds import outside
 from dosplan.scoring.collision import first_contacts
+from dosplan.scoring.usable import unusable
 from dosplan.types import EGO_VELOCITY, USER_VELOCITY, Lanelet, Scenario
 from dosplan.vehicle import VehicleParameters
 from tests.support.suite import ROWS, SUITE, Row, each
@@ -74,6 +75,7 @@ def test_suite_is_diverse() -> None:
 def test_scenario_is_fit_for_use(row: Row) -> None:
     scenario = load_scenario(SUITE / row["file"], cached=True)
     assert scenario.id == row["id"]
+    assert unusable(scenario) is None
     _check_times(scenario, float(row["duration_s"]))
     _check_start(scenario)
     _check_traffic(scenario, row["road_users"])

@@ -198,10 +198,10 @@ def _read(path: Path, step_seconds: float | None) -> _Recording:
         if step_seconds is not None:
             root.set("timeStepSize", f"{step_seconds:g}")
         recording = _recording(root, corrected=step_seconds is not None)
+        whole_file = recording.xml(recording.scene, recording.first, recording.last)
     except FaultError as error:
         raise ScenarioError(path, str(error)) from None
     # What cannot be driven in shall be told of the file, not of each of its moments.
-    whole_file = recording.xml(recording.scene, recording.first, recording.last)
     parse_scenario(ScenarioRef(path.with_suffix(".xml"), ""), _text(whole_file), ego_optional=True)
     return recording
 

@@ -12,7 +12,13 @@ from tests.fuzz.harness import Attempt
 from tests.fuzz.odd_files import odd_files
 from tests.fuzz.plugins import broken_plugins, rude_plugins
 from tests.fuzz.run_folders import damaged_manifests, damaged_recordings, damaged_rows
-from tests.fuzz.scenarios import damaged_archives, damaged_gzip, damaged_texts, damaged_trees
+from tests.fuzz.scenarios import (
+    converted_trees,
+    damaged_archives,
+    damaged_gzip,
+    damaged_texts,
+    damaged_trees,
+)
 from tests.fuzz.weights import damaged_calibrations, damaged_weights
 
 _BATCH: Final = 50
@@ -40,6 +46,7 @@ class Family:
 FAMILIES: Final = (
     Family(damaged_trees, 900, 20),
     Family(odd_files, 200, 10),
+    Family(converted_trees, 150, 5),
     Family(damaged_texts, 300, 15),
     Family(damaged_gzip, 100, 8),
     Family(damaged_archives, 100, 8),

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
-from dosplan.scenario import find_scenarios, load_scenario
+from dosplan.convert.commonroad import convert_commonroad
+from dosplan.scenario import find_scenarios, load_recording, load_scenario
 from tests.fuzz.byte_damage import damage_binary, damage_bytes
 from tests.fuzz.driving import check_usable, drive
 from tests.fuzz.harness import Case, one_line_at_most
@@ -41,6 +42,25 @@ def damaged_trees(case: Case) -> None:
     except RecursionError:  # Python's own writer gives up where its reader does not.
         return
     _drive_all(case.write("scene.xml", data))
+
+
+def converted_trees(case: Case) -> None:
+    """Damaged recordings that are converted: what is written can be read and driven."""
+    root = ElementTree.fromstring(original(case.random))
+    case.about = damage_tree(case.random, root, case.random.choice((1, 1, 2, 4)))
+    root.set("timeStepSize", case.random.choice(("0.1", "0.04", "0.1001")))
+    step = case.random.choice((None, 0.1, 0.04))
+    try:
+        data = ElementTree.tostring(root)
+    except RecursionError:  # As above.
+        return
+    path, out = case.write("scene.xml", data), case.folder / "out"
+    with one_line_at_most(path.name):
+        convert_commonroad(path, out, step)
+        for made in (out / "recordings").iterdir():
+            load_recording(made)
+        if any((out / "scenarios").glob("*.xml.gz")):
+            _drive_all(out / "scenarios")
 
 
 def damaged_texts(case: Case) -> None:

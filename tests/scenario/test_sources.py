@@ -11,7 +11,7 @@ import time
 import zipfile
 from collections.abc import Callable, Iterator
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 
@@ -19,7 +19,7 @@ import pytest
 
 from dosplan.cli.main import main
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
-from dosplan.scenario.sources import archives
+from dosplan.scenario.sources import archives, download
 from dosplan.system.folders import cache_folder
 from tests.support.scenes import Problem, write_scenario_xml
 
@@ -176,6 +176,47 @@ def test_a_url_that_gives_nothing_is_one_line(served: tuple[str, list[int]]) -> 
         find_scenarios(f"{served[0]}/none.zip")
     with pytest.raises(ScenarioError, match=r"cannot be fetched \(.*refused\); fetch it yourself"):
         find_scenarios("http://127.0.0.1:9/a.zip")
+
+
+class _Cut(BaseHTTPRequestHandler):
+    """Announces more than it sends, or falls silent."""
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Keeps quiet."""
+
+    def do_GET(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", "1000")
+        self.end_headers()
+        self.wfile.write(b"<commonRoad")
+        self.wfile.flush()
+        if "silent" in self.path:
+            time.sleep(2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("cut.xml", "it was cut off after 11 of 1000 bytes"),
+        ("silent.xml", "the server went silent: timed out"),
+        ("large.xml", "it has more than 10 bytes"),
+    ],
+)
+def test_a_download_that_is_not_whole_is_no_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, name: str, reason: str
+) -> None:
+    monkeypatch.setenv("DOSPLAN_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(download, "TIMEOUT", 0.3)
+    if name == "large.xml":
+        monkeypatch.setattr(download, "MAX_DOWNLOAD", 10)
+    with ThreadingHTTPServer(("127.0.0.1", 0), _Cut) as server:
+        Thread(target=server.serve_forever).start()
+        url = f"http://127.0.0.1:{server.server_port}/{name}"
+        with pytest.raises(ScenarioError) as caught:
+            find_scenarios(url)
+        server.shutdown()
+    assert str(caught.value).startswith(f"{url}: cannot be fetched ({reason}")
+    assert not [path for path in (tmp_path / "cache").rglob("*") if path.is_file()]
 
 
 def pack(folder: Path, name: str) -> Path:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import shutil
 from hashlib import sha256
-from http.client import HTTPException
+from http.client import HTTPException, HTTPResponse
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import IO, Final
 from urllib.error import HTTPError, URLError
 from urllib.parse import unquote, urlsplit
 from urllib.request import Request, urlopen
@@ -19,6 +18,9 @@ from dosplan.system.folders import cache_folder
 SCHEMES: Final = ("http://", "https://")
 TIMEOUT: Final = 60.0
 """How long a server may stay silent, s."""
+MAX_DOWNLOAD: Final = 16 * 1024**3
+"""Bytes that a file may have."""
+_CHUNK: Final = 1 << 20
 _UNCHANGED: Final = 304
 _MARKS: Final = {"ETag": "If-None-Match", "Last-Modified": "If-Modified-Since"}
 
@@ -43,7 +45,7 @@ def downloaded(url: str) -> Path:
     try:
         with urlopen(request, timeout=TIMEOUT) as answer:  # noqa: S310 - one of SCHEMES
             with atomic_file(copy) as stream:
-                shutil.copyfileobj(answer, stream)
+                _copy(answer, stream)
             found = {back: answer.headers[mark] for mark, back in _MARKS.items()}
         write_text(marks, json.dumps({back: mark for back, mark in found.items() if mark}))
     except HTTPError as error:
@@ -54,6 +56,31 @@ def downloaded(url: str) -> Path:
         reason = getattr(error, "reason", None) if isinstance(error, URLError) else error
         raise _refused(url, str(reason)) from None
     return copy
+
+
+def _copy(answer: HTTPResponse, stream: IO[bytes]) -> None:
+    """Writes what a server sends.
+
+    Raises:
+        ValueError: It is too much, or less than the server has announced: the connection was cut;
+            or nothing for too long.
+    """
+    announced = int(answer.headers.get("Content-Length", -1))
+    total = 0
+    while chunk := _read(answer):
+        total += len(chunk)
+        if total > MAX_DOWNLOAD:
+            raise ValueError(f"it has more than {MAX_DOWNLOAD} bytes")
+        stream.write(chunk)
+    if announced not in (-1, total):
+        raise ValueError(f"it was cut off after {total} of {announced} bytes")
+
+
+def _read(answer: HTTPResponse) -> bytes:
+    try:
+        return answer.read(_CHUNK)
+    except OSError as error:  # No fault of the file that is written.
+        raise ValueError(f"the server went silent: {error}") from None
 
 
 def _known(copy: Path, marks: Path) -> dict[str, str]:

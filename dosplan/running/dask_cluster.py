@@ -12,7 +12,7 @@ import logging
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ from dosplan.plugins.registry import (
     target,
 )
 from dosplan.running.config import RunConfig, RunError
-from dosplan.running.executor import Results, Task, Verdicts, Workers
+from dosplan.running.executor import Results, Task, Verdicts, Workers, parted
 from dosplan.running.job import EpisodeResult, unreadable
 from dosplan.running.process import EpisodeProcesses
 from dosplan.scenario import ScenarioRef
@@ -108,10 +108,15 @@ class _Cluster:
     address: str
 
     def check(self, refs: Iterable[ScenarioRef]) -> Verdicts:
-        def submit(ref: ScenarioRef) -> Any:
-            return self._submit(_check, _absolute(ref))
+        def submit(part: tuple[ScenarioRef, ...]) -> Any:
+            return self._submit(_check, tuple(map(_absolute, part)))
 
-        return self._all(submit, refs, lambda ref: unreadable(ref, _DIED))
+        def lost(part: tuple[ScenarioRef, ...]) -> list[str | None]:
+            return [unreadable(ref, _DIED) for ref in part]
+
+        workers = max(len(self.client.scheduler_info()["workers"]), 1)
+        for part, found in self._all(submit, parted(refs, workers), lost):
+            yield from zip(part, found, strict=True)
 
     def drive(self, tasks: Iterable[Task]) -> Results:
         def submit(task: Task) -> Any:
@@ -208,9 +213,9 @@ def _drive(ref: ScenarioRef, arm: Arm, config: RunConfig, version: str) -> Episo
     return _processes(config, version).drive(ref, arm)
 
 
-def _check(ref: ScenarioRef, config: RunConfig, version: str) -> str | None:
-    """Checks a scenario, likewise."""
-    return _processes(config, version).check(ref)
+def _check(refs: Sequence[ScenarioRef], config: RunConfig, version: str) -> list[str | None]:
+    """Checks scenarios, likewise."""
+    return _processes(config, version).check(refs)
 
 
 def _processes(config: RunConfig, version: str) -> EpisodeProcesses:

@@ -10,7 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from itertools import islice
-from typing import Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
 from dosplan.running.config import RunConfig
 from dosplan.running.job import EpisodeResult, Session
@@ -25,6 +25,26 @@ _Result = TypeVar("_Result")
 Task = tuple[ScenarioRef, Arm]
 Results = Generator[tuple[Task, EpisodeResult], None, None]
 Verdicts = Generator[tuple[ScenarioRef, str | None], None, None]
+
+
+MOST_AT_ONCE: Final = 16
+"""Scenarios that a worker checks at once, at most."""
+
+
+def parted(refs: Iterable[ScenarioRef], workers: int) -> Iterator[tuple[ScenarioRef, ...]]:
+    """Parts scenarios for workers that check them.
+
+    Args:
+        refs: The scenarios.
+        workers: How many share them.
+
+    Yields:
+        Parts of at most ``MOST_AT_ONCE``, small enough that every worker has some.
+    """
+    source = tuple(refs)
+    size = min(MOST_AT_ONCE, max(len(source) // (2 * workers), 1))
+    for first in range(0, len(source), size):
+        yield source[first : first + size]
 
 
 class Workers(Protocol):
@@ -150,7 +170,9 @@ class _Processes:
     workers: int
 
     def check(self, refs: Iterable[ScenarioRef]) -> Verdicts:
-        return self._all(self.processes.check, refs)
+        parts = list(parted(refs, self.workers))
+        for part, found in self._all(self.processes.check, parts):
+            yield from zip(part, found, strict=True)
 
     def drive(self, tasks: Iterable[Task]) -> Results:
         return self._all(lambda task: self.processes.drive(*task), tasks)

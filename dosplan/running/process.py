@@ -14,7 +14,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -81,20 +81,27 @@ class EpisodeProcess:
             _drive, (ref, arm), lambda reason: EpisodeResult(failed_score(ref.id, arm, reason))
         )
 
-    def check(self, ref: ScenarioRef) -> str | None:
-        """Tells whether a scenario can be driven; blocks.
+    def check(self, refs: Sequence[ScenarioRef]) -> list[str | None]:
+        """Tells which scenarios can be driven; blocks.
 
         Args:
-            ref: The scenario.
+            refs: The scenarios. Handing one to the process takes longer than checking it, so they
+                are handed over together.
 
         Returns:
-            As ``Session.check`` returns it; also where the file ended the process.
+            For each what ``Session.check`` returns; also where the file ended the process.
 
         Raises:
             RunError: As for ``drive``.
             CancelledError: Likewise.
         """
-        return self._tried(_check, (ref,), lambda reason: unreadable(ref, reason))
+
+        def lost(reason: str) -> list[str | None]:
+            if len(refs) == 1:
+                return [unreadable(refs[0], reason)]
+            return [found for ref in refs for found in self.check([ref])]  # To know which it was.
+
+        return self._tried(_check, (tuple(refs),), lost)
 
     def stop(self) -> None:
         """Has a ``drive`` in another thread end at once and its process with it."""
@@ -226,11 +233,11 @@ class EpisodeProcesses:
         with self._lent() as process:
             return process.drive(ref, arm)
 
-    def check(self, ref: ScenarioRef) -> str | None:
-        """Tells whether a scenario can be driven, likewise; blocks.
+    def check(self, refs: Sequence[ScenarioRef]) -> list[str | None]:
+        """Tells which scenarios can be driven, likewise; blocks.
 
         Args:
-            ref: The scenario.
+            refs: The scenarios.
 
         Returns:
             As ``EpisodeProcess.check`` returns it.
@@ -240,7 +247,7 @@ class EpisodeProcesses:
             CancelledError: Likewise.
         """
         with self._lent() as process:
-            return process.check(ref)
+            return process.check(refs)
 
     def retire(self) -> None:
         """Ends every process as soon as it is idle."""
@@ -297,8 +304,8 @@ def _drive(ref: ScenarioRef, arm: Arm) -> EpisodeResult:
         return failed_result(ref, arm, error)
 
 
-def _check(ref: ScenarioRef) -> str | None:
-    return _Worker.session.check(ref)
+def _check(refs: Sequence[ScenarioRef]) -> list[str | None]:
+    return [_Worker.session.check(ref) for ref in refs]
 
 
 def _resident_bytes(pid: int) -> int | None:

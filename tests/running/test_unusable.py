@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -14,10 +14,12 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.rows import read_rows
 from dosplan.results.summary import read_summary
 from dosplan.results.unusable import LISTED, Unusable
+from dosplan.running.executor import parted
 from dosplan.running.job import Session
+from dosplan.running.process import EpisodeProcess
 from dosplan.running.progress import Observer, ProgressObserver
 from dosplan.running.run import run
-from dosplan.scenario import ScenarioRef
+from dosplan.scenario import ScenarioRef, find_scenarios
 from dosplan.system.files import read_json
 from dosplan.types import Arm, Outcome, Score
 from tests.support.plugins import PLUGINS
@@ -293,3 +295,37 @@ def test_a_summary_without_the_count_takes_every_scenario_as_usable(
     assert read.unusable == ()
     assert read.comparison is not None
     assert read.comparison.unusable == 0
+
+
+def test_a_file_that_ends_the_process_is_found_among_others(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refs = find_scenarios(scenes)[:5]
+    asked: list[int] = []
+
+    def attempt(
+        self: EpisodeProcess,
+        call: object,
+        arguments: tuple[Sequence[ScenarioRef]],
+        lost: Callable[[str], list[str | None]],
+    ) -> list[str | None]:
+        (part,) = arguments
+        asked.append(len(part))
+        return lost("ended by SIGSEGV") if refs[2] in part else [None] * len(part)
+
+    monkeypatch.setattr(EpisodeProcess, "_attempt", attempt)
+    found = EpisodeProcess(configured(tmp_path / "run", scenes)).check(refs)
+    line = f"{refs[2].path}: cannot be read (ended by SIGSEGV); leave it out"
+    assert found == [None, None, line, None, None]
+    assert asked == [5, 1, 1, 1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("count", "workers", "sizes"),
+    [(0, 2, []), (1, 4, [1]), (3, 2, [1, 1, 1]), (8, 2, [2] * 4), (100, 2, [16] * 6 + [4])],
+)
+def test_every_worker_checks_some(count: int, workers: int, sizes: list[int]) -> None:
+    refs = [ScenarioRef(Path(f"{number}.xml"), str(number)) for number in range(count)]
+    parts = list(parted(refs, workers))
+    assert [len(part) for part in parts] == sizes
+    assert [ref for part in parts for ref in part] == refs

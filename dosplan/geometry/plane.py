@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Final
+
 import numpy as np
 import numpy.typing as npt
 import shapely
 from shapely.geometry import MultiPolygon, Polygon
 
-from dosplan.types import FloatArray
+from dosplan.types import FloatArray, Lanelet, RoadMap
 
+SEAM: Final = 0.1
+"""Half the width of the gaps between lanelets that count as road, m.
+
+Neighbouring lanelets of recorded maps do not share their bounds exactly, and where several meet
+there are narrow gaps. Of the published solutions (71 looked at), 13 leave the plain union of
+lanelets and none the union with gaps of up to 0.04 m closed. A gap of 0.2 m is narrower than a
+car's tyre, so it is no edge of the road.
+"""
 _UNIT_CORNERS = np.array([[0.5, 0.5], [-0.5, 0.5], [-0.5, -0.5], [0.5, -0.5]])
 
 
@@ -100,6 +111,44 @@ def lanelet_polygon(left: FloatArray, right: FloatArray) -> Polygon | MultiPolyg
         return outline
     cells = shapely.polygons(lanelet_cells(left, right))
     return areas(shapely.union_all(shapely.convex_hull(cells)))
+
+
+def lanelet_union(lanelets: Iterable[Lanelet]) -> Polygon | MultiPolygon:
+    """Union of lanelets, with the seams between them closed (see ``SEAM``).
+
+    Args:
+        lanelets: The lanelets.
+
+    Returns:
+        Their area, m.
+    """
+    return close_seams(shapely.union_all([lanelet_polygon(x.left, x.right) for x in lanelets]))
+
+
+def close_seams(shape: shapely.Geometry) -> Polygon | MultiPolygon:
+    """Closes the gaps in an area that are narrower than two ``SEAM``.
+
+    Args:
+        shape: The area, m.
+
+    Returns:
+        The area without these gaps, m.
+    """
+    grown = shapely.buffer(shape, SEAM, join_style="mitre")
+    return areas(shapely.buffer(grown, -SEAM, join_style="mitre"))
+
+
+def lanelets_off_road(road_map: RoadMap) -> Polygon | MultiPolygon:
+    """Area of the lanelets that are no road for a car: sidewalks, bicycle lanes and the like.
+
+    Args:
+        road_map: The map.
+
+    Returns:
+        Their area without what is road as well, such as a crossing on a lane, m; often empty.
+    """
+    others = lanelet_union(x for x in road_map.lanelets if not x.is_road)
+    return areas(shapely.difference(others, road_map.drivable))
 
 
 def areas(shape: shapely.Geometry) -> Polygon | MultiPolygon:

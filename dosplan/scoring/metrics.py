@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from dosplan.scoring.bounds import outside_lanelets
 from dosplan.scoring.comfort import (
     MAX_LATERAL_ACCELERATION,
     MAX_LONGITUDINAL_JERK,
@@ -249,6 +250,15 @@ def _share(
     )
 
 
+def _leaves_lanelets(part: ScoredPart) -> bool | None:
+    """Whether the ego leaves the union of all lanelets; None where it drove no step."""
+    if len(part.states) < 2:
+        return None
+    scenario = part.scenario
+    size = scenario.task.vehicle.size
+    return bool(outside_lanelets(part.ego[:, :3], size, scenario.road_map).any())
+
+
 def _of_cycles(
     figure: Callable[[list[SolveReport]], float | int],
 ) -> Callable[[ScoredPart], float | int | None]:
@@ -302,6 +312,21 @@ METRICS: tuple[Metric, ...] = (
         lambda row: row.outcome is Outcome.OUT_OF_BOUNDS,
         Better.LOWER,
         Group.MAIN,
+    ),
+    Metric(
+        name="off_commonroad_road",
+        title="Off the road as CommonRoad counts it",
+        short="Off CommonRoad's road",
+        unit="%",
+        definition="part of the ego's rectangle is outside the union of all lanelets, whatever "
+        "their type, at a step, also before a collision; an open end of the map is an edge; "
+        "episodes that drove a step",
+        aggregate=Aggregate.SHARE,
+        group=Group.OUTCOME,
+        better=Better.LOWER,
+        measure=_leaves_lanelets,
+        kind=bool,
+        digits=1,
     ),
     _share(
         "goal_missed",

@@ -22,10 +22,14 @@ Definitions
   it with the wrong heading or speed. Too early is a miss as well: who has driven through the region
   before the window opens has not reached the goal. `dosplan explain` tells which, and by how much.
 - **Road**: the drivable area is the union of the lanelets that are carriageway by their type and
-  users: footways, bicycle lanes and crossings that are nothing else are not; bus lanes are, though
-  no route leads along them. Gaps between lanelets of up to 0.2 m, less than a tyre's width, are
-  closed. An open end of the map is no edge of the road: 5 m beyond it count as road. CommonRoad's
-  checker counts every lanelet as road, and an open end as an edge.
+  users: sidewalks, bicycle lanes and crossings that are nothing else are not, nor is a lanelet
+  whose users are all on foot, on bicycles or on rails; bus lanes are, though no route leads along
+  them. Gaps between lanelets of up to 0.2 m, less than a tyre's width, are closed. An open end of
+  the map is no edge of the road: 5 m beyond it count as road. This is the road of the ego, a car,
+  which alone is judged: other road users are where they were recorded, on whatever lanelet.
+  CommonRoad's checker counts every lanelet as road, an open end as an edge, and the gaps.
+  `off_commonroad_road` counts the episodes that leave the road so defined, but for the gaps, which
+  are closed there too.
 - **Fault** of a collision: nuPlan's classes. Report collision rate and at-fault collision rate.
 - **Velocity**: mean ego speed over the steps driven, m/s, averaged over scenarios. Progress,
   comfort, time-to-collision, cycle time p50/p99 beside it.

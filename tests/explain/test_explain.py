@@ -468,7 +468,7 @@ def test_a_planner_without_a_solver_has_no_figures_of_one() -> None:
     scenario = straight_scenario(final_step=30)
     silent = Coast(dict.fromkeys(range(60), SolveReport()))
     row = score(scenario, run_episode(scenario, silent, Discs(1.0), Arm.WITH_DOS))
-    assert row.measures == dict.fromkeys(measured_kinds())
+    assert row.measures == dict.fromkeys(measured_kinds()) | {"off_commonroad_road": False}
     assert '"max_slack": null' in row_line(row)
 
 
@@ -494,6 +494,7 @@ def test_telemetry_reaches_the_row_over_the_drive_alone() -> None:
         "slack_cycles": 24,
         "max_road_slack": pytest.approx(0.024),
         "solver_failures": 1,
+        "off_commonroad_road": False,
     }
     assert row.fallback_cycles == 1
     row_line(row)  # Figures of numpy would not be JSON.

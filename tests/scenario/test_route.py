@@ -10,9 +10,8 @@ import pytest
 import shapely
 from shapely.geometry import LineString, Point
 
-from dosplan.geometry import lanelet_polygon, rectangle_corners, wrap_angle
+from dosplan.geometry import lanelet_polygon, lanelet_union, rectangle_corners, wrap_angle
 from dosplan.scenario import load_scenario
-from dosplan.scenario.commonroad.road_map import drivable_area
 from dosplan.scenario.route.corridor import OFF_ROAD, Corridor
 from dosplan.scenario.route.route import build_route
 from dosplan.types import FloatArray, GoalState, IntArray, Lanelet, RoadMap, Route, Scenario
@@ -39,7 +38,7 @@ def road_map(lanes: Sequence[scenes.Lane]) -> RoadMap:
         )
         for lane in lanes
     )
-    return RoadMap(lanelets, drivable_area(lanelets))
+    return RoadMap(lanelets, lanelet_union(lanelets))
 
 
 def route_to(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dosplan.geometry import lanelet_polygon, rectangle_corners
-from dosplan.scoring.bounds import HAIRLINE, outside
+from dosplan.geometry import lanelet_polygon, lanelet_union, rectangle_corners
+from dosplan.scoring.bounds import HAIRLINE, outside, outside_lanelets
 from dosplan.scoring.fault import in_several_lanes
 from dosplan.types import Lanelet, RoadMap
 
@@ -57,6 +59,30 @@ def test_a_hole_in_the_road_is_outside() -> None:
     holed = RoadMap(ROAD.lanelets, ROAD.drivable.difference(shapely.box(20.0, -0.1, 20.2, 0.1)))
     assert outside(np.array([[20.0, 0.0, 0.0]]), SIZE, holed)[0]
     assert not outside(np.array([[30.0, 0.0, 0.0]]), SIZE, holed)[0]
+
+
+def test_commonroads_road_is_every_lanelet_and_ends_with_the_map() -> None:
+    # A sidewalk on the left, 0.1 m beside the lane; the map is cut off at x = 50 m.
+    lanelets = (
+        lane(1, (0.0, 50.0), (-2.0, 2.0)),
+        replace(lane(2, (0.0, 50.0), (2.1, 5.0)), is_road=False),
+        lane(3, (900.0, 950.0), (-2.0, 2.0)),
+    )
+    drivable = lanelet_union(x for x in lanelets if x.is_road)
+    road_map = RoadMap(lanelets, drivable, shapely.box(50.0, -2.0, 55.0, 2.0))
+    poses = np.array(
+        [
+            [20.0, 0.0, 0.0],  # On the lane.
+            [20.0, 2.0, 0.0],  # On the sidewalk with its left side.
+            [20.0, 3.5, 0.0],
+            [20.0, 4.5, 0.0],  # Beyond the sidewalk.
+            [20.0, -1.5, 0.0],
+            [49.0, 0.0, 0.0],  # A metre over the map's end.
+        ]
+    )
+    ours, theirs = (judge(poses, SIZE, road_map).tolist() for judge in (outside, outside_lanelets))
+    assert ours == [False, True, True, True, True, False]
+    assert theirs == [False, False, False, True, True, True]
 
 
 @pytest.mark.parametrize(("y", "several"), [(0.99, False), (1.01, True), (1.99, True)])

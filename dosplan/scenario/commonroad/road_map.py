@@ -10,9 +10,9 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import shapely
-from shapely.geometry import MultiPolygon, Polygon
+from shapely.geometry import Polygon
 
-from dosplan.geometry import areas, lanelet_polygon
+from dosplan.geometry import areas, close_seams, lanelet_polygon, lanelet_union
 from dosplan.scenario.commonroad.elements import (
     MAX_NUMBER,
     FaultError,
@@ -27,14 +27,6 @@ from dosplan.scenario.commonroad.elements import (
 )
 from dosplan.types import FloatArray, Lanelet, RoadMap
 
-SEAM: Final = 0.1
-"""Half the width of the gaps between lanelets that count as road, m.
-
-Neighbouring lanelets of recorded maps do not share their bounds exactly, and where several meet
-there are narrow gaps. Of the published solutions (71 looked at), 13 leave the plain union of
-lanelets and none the union with gaps of up to 0.04 m closed. A gap of 0.2 m is narrower than a
-car's tyre, so it is no edge of the road.
-"""
 OPEN_END: Final = 5.0
 """Length of road that is taken to go on beyond an open end of the map, m: about a car's."""
 _CARS: Final = frozenset({"vehicle", "car"})
@@ -81,20 +73,6 @@ class MapReading:
     notes: tuple[str, ...]
 
 
-def drivable_area(lanelets: tuple[Lanelet, ...]) -> Polygon | MultiPolygon:
-    """Union of the lanelets that are road, with the seams between them closed (see ``SEAM``).
-
-    Args:
-        lanelets: Every lanelet of the map.
-
-    Returns:
-        The area on which the ego may drive, m.
-    """
-    union = shapely.union_all([lanelet_polygon(x.left, x.right) for x in lanelets if x.is_road])
-    grown = shapely.buffer(union, SEAM, join_style="mitre")
-    return areas(shapely.buffer(grown, -SEAM, join_style="mitre"))
-
-
 def open_ends(lanelets: tuple[Lanelet, ...], drivable: shapely.Geometry) -> shapely.Geometry:
     """What lies beyond the ends of the map at which roads are cut off.
 
@@ -125,8 +103,7 @@ def open_ends(lanelets: tuple[Lanelet, ...], drivable: shapely.Geometry) -> shap
     met = shapely.area(shapely.intersection(strips[strip], roads[road]))
     other = np.bincount(strip, weights=met, minlength=len(strips))
     beyond = [x for x, area in zip(strips, other, strict=True) if area < _OTHER_ROAD * x.area]
-    grown = shapely.buffer(shapely.union_all(beyond), SEAM, join_style="mitre")
-    return areas(shapely.difference(shapely.buffer(grown, -SEAM, join_style="mitre"), drivable))
+    return areas(shapely.difference(close_seams(shapely.union_all(beyond)), drivable))
 
 
 _OTHER_ROAD: Final = 0.1
@@ -194,7 +171,7 @@ def read_road_map(root: Element) -> MapReading:
     two_way = frozenset(
         identity(x) for x in root.iterfind("lanelet") if x.find("userBidirectional") is not None
     )
-    drivable = drivable_area(lanelets)
+    drivable = lanelet_union(x for x in lanelets if x.is_road)
     road_map = RoadMap(lanelets, drivable, open_ends(lanelets, drivable))
     return MapReading(road_map, two_way, tuple(notes))
 

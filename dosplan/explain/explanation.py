@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from dosplan.explain.collision import CollisionFacts, collision_facts
 from dosplan.explain.goal import GoalFacts, goal_facts
@@ -14,6 +15,9 @@ from dosplan.explain.road import RoadFacts, road_facts
 from dosplan.results.drive import Drive, find_drives
 from dosplan.results.folder import RunFolder
 from dosplan.types import Arm, Outcome, Score
+
+MOST_NOTES: Final = 5
+"""Notes of one scenario that are shown; a map may have one for every lanelet."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,7 @@ class Explanation:
         planning: The planner's last cycles before that step.
         error: What went wrong in a planner failure, or why the scenario is unusable.
         traceback: File of the traceback, relative to the run folder.
+        notes: What reading the scenario file left out or corrected, a line each.
     """
 
     scenario: str
@@ -49,6 +54,7 @@ class Explanation:
     planning: PlanningFacts | None = None
     error: str | None = None
     traceback: str | None = None
+    notes: tuple[str, ...] = ()
 
     def lines(self) -> list[str]:
         """The explanation in plain words: a heading, then indented lines."""
@@ -63,6 +69,7 @@ class Explanation:
             body += [] if part is None else part.lines()
         if self.min_time_to_collision is not None:
             body.append(f"smallest time to collision: {self.min_time_to_collision:.2f} s")
+        body += [f"the scenario file: {note}" for note in shown_notes(self.notes)]
         title = f"{self.scenario}, {self.arm}: {self.outcome} {when}"
         return [title, *(f"  {line}" for line in body)]
 
@@ -123,7 +130,21 @@ def explain_drive(drive: Drive, traceback: str | None = None) -> Explanation:
         planning=planning_facts(drive),
         error=row.error,
         traceback=traceback,
+        notes=drive.scenario.notes,
     )
+
+
+def shown_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
+    """The first notes of a scenario, as they are shown to people.
+
+    Args:
+        notes: ``Scenario.notes``.
+
+    Returns:
+        ``MOST_NOTES`` at most, and a line that counts the rest.
+    """
+    rest = len(notes) - MOST_NOTES
+    return notes if rest <= 0 else (*notes[:MOST_NOTES], f"{rest} more notes")
 
 
 def _failure(folder: RunFolder, row: Score) -> Explanation:

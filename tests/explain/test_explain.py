@@ -358,6 +358,18 @@ def test_a_success_tells_its_margins(tmp_path: Path) -> None:
     assert (left.reached, left.spare) == pytest.approx((1.9, 3.1))  # x = 20.4 m at step 19.
 
 
+@pytest.mark.parametrize(("count", "last"), [(5, "lanelet 4: turned"), (8, "3 more notes")])
+def test_what_reading_put_right_is_told(tmp_path: Path, count: int, last: str) -> None:
+    notes = tuple(f"lanelet {i}: turned" for i in range(count))
+    scenario = replace(straight_scenario(braking_car(), velocity=15.0), notes=notes)
+    found = explained(tmp_path, scenario)
+    assert found.notes == notes
+    told = [line.strip() for line in found.lines() if "the scenario file: " in line]
+    assert told[0] == "the scenario file: lanelet 0: turned"
+    assert told[-1] == f"the scenario file: {last}"
+    assert len(told) == min(count, 6)
+
+
 def test_who_reacted_is_explained_as_it_was_driven() -> None:
     scenario = followed()
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from shapely.geometry import box
 
-from dosplan.geometry import rectangle_corners
+from dosplan.geometry import lanelet_union, rectangle_corners
 from dosplan.report.film.layers import Sets
 from dosplan.report.film.scene import (
     EGO_COLOUR,
@@ -120,6 +120,20 @@ def test_islands_stay_open(scenario: Scenario, tmp_path: Path) -> None:
     inside, beside = (pixels[len(pixels) - y, x, :3] for x, y in points)
     np.testing.assert_array_equal(inside, 1.0)
     assert np.all(beside < 1.0)
+
+
+def test_a_sidewalk_is_hatched_beside_the_road(scenario: Scenario, axes: Axes) -> None:
+    lanelets = scenario.road_map.lanelets
+    lane, sidewalk = lanelets[0], replace(lanelets[1], is_road=False)
+    both = (lane, sidewalk)
+    mixed = replace(scenario, road_map=RoadMap(both, lanelet_union([lane])))
+    draw_scene(axes, mixed, 40)
+    (hatched,) = (patch for patch in axes.patches if patch.get_hatch())
+    middle = sidewalk.centre[len(sidewalk.centre) // 2]
+    assert hatched.get_path().contains_point(middle)
+    assert not hatched.get_path().contains_point(lane.centre[len(lane.centre) // 2])
+    labels = [str(handle.get_label()) for handle in legend_handles(mixed)]
+    assert labels[:3] == ["ego", "goal", "no road for cars"]
 
 
 def test_legend_names_what_occurs(scenario: Scenario) -> None:

@@ -35,9 +35,17 @@ from dosplan.scenario.synthetic import steady_tracks
 from dosplan.scoring.score import failed_score
 from dosplan.simulation.traffic import Replay, Traffic
 from dosplan.system.files import FileError, write_json
-from dosplan.types import Arm, EpisodeEnd, FloatArray, Outcome, Score
+from dosplan.types import Arm, EpisodeEnd, FloatArray, Lanelet, Outcome, Score
 from tests.support.plugins import PLUGINS
-from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
+from tests.support.scenes import (
+    Goal,
+    Problem,
+    User,
+    driving,
+    rectangle,
+    straight_road,
+    write_scenario_xml,
+)
 from tests.support.traffic import ShyTraffic, braking_before, followed
 
 COAST = ["--planner", f"{PLUGINS}:CoastPlanner", "--predictor", "constant-velocity"]
@@ -259,6 +267,33 @@ def test_sides_whose_road_users_reacted_have_road_users_of_their_own() -> None:
     assert pack(payload)
 
 
+def test_lanelets_that_are_no_road_are_drawn_apart() -> None:
+    scenario = followed()
+    lanelets = scenario.road_map.lanelets
+    west, _, east, north = scenario.road_map.drivable.bounds
+    left, right = ([[west, y], [east, y]] for y in (north + 3.0, north))
+    walk = Lanelet(77, np.array(left), np.array(right), is_road=False)
+    beside = replace(scenario, road_map=replace(scenario.road_map, lanelets=(*lanelets, walk)))
+    drive = Drive.of(scenario, braking_before(Replay()))
+    plain, drawn = (encode_episode(scene, [drive]) for scene in (scenario, beside))
+    assert plain["offRoad"] == []
+    assert len(drawn["offRoad"]) == 1
+    assert drawn["road"] == plain["road"]
+
+
+def test_what_reading_put_right_stands_at_the_scenario(tmp_path: Path) -> None:
+    name = "ZAM_Limit-1_1_T-1"
+    path = write_scenario_xml(
+        tmp_path / f"{name}.xml", straight_road(lanes=1, speed_limit=9.0), benchmark_id=name
+    )
+    path.write_text(path.read_text("utf-8").replace(">9.0<", ">fast<"), "utf-8")
+    out = tmp_path / "run"
+    assert main(["run", str(path), *COAST, "--in-process", "--out", str(out)]) == cli.OK
+    ((case,),) = (s["cases"] for s in _data((out / "report.html").read_text("utf-8"))["sections"])
+    (note,) = case["notes"]
+    assert note.endswith("its speed limit 'fast' cannot be read; no limit is taken")
+
+
 def test_a_run_writes_its_report(driven: Path) -> None:
     html = (driven / "report.html").read_text(encoding="utf-8")
     (section,) = _data(html)["sections"]
@@ -384,7 +419,9 @@ def test_groups_of_one_meaning_are_shown_once() -> None:
     def titles(pairs: list[tuple[str, str]]) -> list[str]:
         row = _row("s", Arm.WITH_DOS, Outcome.SUCCESS)
         cases = [
-            Case("s", family, road, "succeeded", (row,), ("",), (None,), (np.empty(0),), {}, None)
+            Case(
+                "s", family, road, "succeeded", (row,), ("",), (None,), (np.empty(0),), {}, (), None
+            )
             for road, family in pairs
         ]
         return [title for title, _ in page.group_tables(cases, 1)]

@@ -21,7 +21,7 @@ from dosplan.report.film.drives import Take
 from dosplan.report.film.framing import Framing, frame_scene
 from dosplan.report.film.layers import INK, SET_COLOURS
 from dosplan.report.film.panel import USER_COLOURS, Panel
-from dosplan.report.film.scene import GOAL_COLOUR
+from dosplan.report.film.scene import GOAL_COLOUR, off_road_key
 from dosplan.types import STEP_SECONDS, Outcome
 
 Picture = npt.NDArray[np.uint8]
@@ -118,6 +118,7 @@ class Film:
                 Line2D([], [], color=GOAL_COLOUR, linewidth=1.2, alpha=0.6, label="route"),
                 Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
             ]
+        keys += off_road_key(takes[0].scenario)
         keys += [
             Patch(facecolor=colour, edgecolor=INK, linewidth=0.4, label=kind.value)
             for kind, colour in USER_COLOURS.items()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import shapely
@@ -14,6 +14,7 @@ from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path as Outline
 from shapely.geometry import MultiPolygon, Polygon
 
+from dosplan.geometry import lanelets_off_road
 from dosplan.report.film.layers import INK, Bodies, Users, on_scene
 from dosplan.types import Arm, FloatArray, GoalState, RoadUserKind, Scenario
 
@@ -39,6 +40,10 @@ ARM_COLOURS: Final = MappingProxyType({Arm.WITHOUT_DOS: "#d55e00", Arm.WITH_DOS:
 
 GOAL_COLOUR: Final = "#1a9641"
 _ROAD, _MARKING, _KERB = "#dfe1e0", "#ffffff", "#9b9b95"
+_OFF_ROAD: Final[Mapping[str, Any]] = MappingProxyType(
+    {"facecolor": "#f3f4f2", "edgecolor": "#c4c6c1", "hatch": "////", "linewidth": 0.5}
+)
+"""How lanelets are drawn that are no road for a car."""
 _MARGIN = 30.0
 _TRAIL = 10  # Steps, a second.
 _BAR = 20.0
@@ -70,18 +75,33 @@ def legend_handles(*scenarios: Scenario) -> list[Patch]:
         scenarios: What is drawn.
 
     Returns:
-        The ego, the goal and every kind of road user that occurs, in a fixed order.
+        The ego, the goal, lanelets that are no road for a car where there are any, and every kind
+        of road user that occurs, in a fixed order.
     """
     present = {kind for scenario in scenarios for kind in scenario.tracks.kinds}
     return [
         Patch(facecolor=EGO_COLOUR, edgecolor=INK, label="ego"),
         Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
+        *off_road_key(*scenarios),
         *(
             Patch(facecolor=colour, edgecolor=INK, label=kind.value)
             for kind, colour in KIND_COLOURS.items()
             if kind in present
         ),
     ]
+
+
+def off_road_key(*scenarios: Scenario) -> list[Patch]:
+    """Key for a legend of the lanelets that are no road for a car.
+
+    Args:
+        scenarios: What is drawn.
+
+    Returns:
+        One key where there are such lanelets, none elsewhere.
+    """
+    there = any(not lanelets_off_road(scenario.road_map).is_empty for scenario in scenarios)
+    return [Patch(**_OFF_ROAD, label="no road for cars")] if there else []
 
 
 def _patch(area: Polygon | MultiPolygon) -> Outline:
@@ -95,13 +115,16 @@ def _patch(area: Polygon | MultiPolygon) -> Outline:
 
 
 def draw_map(axes: Axes, scenario: Scenario) -> None:
-    """Draws the road.
+    """Draws the road, and hatched beside it the lanelets that are no road for a car.
 
     Args:
         axes: Where to draw.
         scenario: The scene.
     """
     road_map = scenario.road_map
+    off_road = lanelets_off_road(road_map)
+    if not off_road.is_empty:
+        axes.add_patch(PathPatch(_patch(off_road), **_OFF_ROAD, zorder=1))
     road = _patch(road_map.drivable)
     axes.add_patch(PathPatch(road, facecolor=_ROAD, edgecolor="none", zorder=1))
     bounds = [line for lanelet in road_map.lanelets for line in (lanelet.left, lanelet.right)]

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from dosplan.explain import shown_notes
 from dosplan.explain.goal import goal_facts
 from dosplan.report.html.codec import pack
 from dosplan.report.html.coverage import Prediction, SetsMet, predictions_of, sets_met
@@ -60,6 +61,7 @@ class Case:
         met: The sets that each side met, or None where that is not known.
         cycle_ms: Times of the planning cycles of each side, ms.
         thumbnail: See ``dosplan.report.html.thumbnails``.
+        notes: What reading the scenario file left out or corrected, as far as it is shown.
         payload: What the player draws, packed; None where there is no recording.
     """
 
@@ -72,6 +74,7 @@ class Case:
     met: tuple[SetsMet | None, ...]
     cycle_ms: tuple[FloatArray, ...]
     thumbnail: dict[str, Any]
+    notes: tuple[str, ...]
     payload: str | None
 
 
@@ -140,6 +143,7 @@ def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
         met=met,
         cycle_ms=tuple(np.empty(0) if r is None else r.cycle_ms for r in recordings),
         thumbnail=thumbnail(scene, drives),
+        notes=() if scene is None else shown_notes(scene.notes),
         payload=pack(encode_episode(scene, drives)) if any(drives) else None,
     )
 

@@ -216,6 +216,7 @@ def _row(case: Case) -> dict[str, Any]:
             }
             for row, why in zip(case.rows, case.why, strict=True)
         ],
+        "notes": case.notes,
     }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import shapely
 from shapely.geometry import MultiPolygon, Polygon
 
-from dosplan.geometry import areas
+from dosplan.geometry import areas, lanelets_off_road
 from dosplan.report.html.codec import METRE, RADIAN, SPEED, differences, polyline
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.results.drive import Drive
@@ -193,6 +193,7 @@ def _encode_map(scene: Scenario, drives: Sequence[Drive], origin: FloatArray) ->
     goals = [goal.region for goal in scene.task.goals if goal.region is not None]
     return {
         "road": outlines(shapely.intersection(scene.road_map.drivable, box), origin),
+        "offRoad": outlines(shapely.intersection(lanelets_off_road(scene.road_map), box), origin),
         "lines": list(lines.values()),
         "goals": [ring for goal in goals for ring in outlines(goal.intersection(box), origin)],
     }

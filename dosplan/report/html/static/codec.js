@@ -37,6 +37,7 @@ function decodeEpisode(packed) {
     ego: packed.ego,
     hasScene: packed.road !== undefined,
     road: lines("road"),
+    offRoad: lines("offRoad"),
     lines: lines("lines"),
     goals: lines("goals"),
     users: (packed.users || []).map((user) => ({

@@ -45,6 +45,16 @@ function trace(context, line) {
 }
 
 function drawRoad(context, episode, pixel, palette) {
+  // Lanelets that are no road for a car: outlined, in a shade between land and road.
+  context.beginPath();
+  episode.offRoad.forEach((ring) => { trace(context, ring); context.closePath(); });
+  context.fillStyle = palette.offRoad;
+  context.fill("evenodd");
+  context.setLineDash([4 * pixel, 3 * pixel]);
+  context.strokeStyle = palette.faint;
+  context.lineWidth = pixel;
+  context.stroke();
+  context.setLineDash([]);
   context.beginPath();
   episode.road.forEach((ring) => { trace(context, ring); context.closePath(); });
   context.fillStyle = palette.road;

@@ -51,6 +51,7 @@ function makePlayer(dialog, data) {
       );
       return box;
     }));
+    find(".notes").replaceChildren(...row.notes.map((note) => element("li", { textContent: `the scenario file: ${note}` })));
     const colours = palette();
     const kinds = [...new Set(state.episode.users.map((user) => user.kind))].sort((a, b) => a - b);
     find(".kinds").replaceChildren(...kinds.map((kind) => {
@@ -126,7 +127,7 @@ function makePlayer(dialog, data) {
     const get = (name) => style.getPropertyValue(`--${name}`).trim();
     const rgb = (name) => [1, 3, 5].map((i) => parseInt(get(name).slice(i, i + 2), 16));
     return {
-      land: get("land"), road: get("road"), marking: get("marking"), ink: get("ink"), line: get("line"),
+      land: get("land"), road: get("road"), offRoad: get("off-road"), marking: get("marking"), ink: get("ink"), line: get("line"),
       faint: get("faint"), paper: get("paper"), goal: data.goal,
       sides: [get("side-0"), get("side-1")], kinds: data.kinds.map(([, colour]) => toned(colour, get("user"))),
       near: rgb("near"), middle: rgb("middle"), far: rgb("far"),

@@ -236,6 +236,55 @@ def test_unreachable_goal_and_wrong_way_start_still_give_a_route() -> None:
     assert wrong.path[-1, 0] < wrong.path[0, 0]
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("velocity", [3.0, 14.0])
+def test_a_start_on_the_oncoming_lane_begins_there_and_comes_back(
+    side: float, velocity: float
+) -> None:
+    lanes = scenes.straight_road(lanes=1, oncoming=2, length=300.0, pieces=3)
+    if side < 0.0:
+        lanes = scenes.mirrored(lanes)
+    goal = shapely.box(180.0, -1.5, 200.0, 1.5)
+    route = route_to(lanes, goal, (40.0, side * 3.2, 0.0, velocity), seconds=12.0)
+    assert route.lanelet_ids == (100, 200, 300)
+    back = 44.0 + np.clip(3.0 * velocity, 15.0, 60.0)
+    x, y = route.path.T
+    np.testing.assert_allclose(y[x <= 40.0], side * 3.2, atol=0.15)
+    np.testing.assert_allclose(y[x >= back], 0.0, atol=0.15)
+    assert np.all(side * np.diff(y) <= 0.03)
+    check_smooth(route, 5.7735 * 3.2 / (back - 44.0) ** 2 * 1.1, 0.06)
+    # The road is free to the far side of the lane that the ego is on, not to that of the next one;
+    # where the ego is back and no longer on the lanelets that it used, only its lane is.
+    upright = np.cos(route.heading)
+    outward = y + upright * (route.left if side > 0.0 else route.right)
+    inward = y + upright * (route.right if side > 0.0 else route.left)
+    on_road = (x > 12.0) & (x < 290.0)
+    np.testing.assert_allclose(inward[on_road], -side * 1.75, atol=0.01)
+    np.testing.assert_allclose(outward[(x > 20.0) & (x < back)], side * 5.25, atol=0.03)
+    np.testing.assert_allclose(outward[(x > 102.0) & on_road], side * 1.75, atol=0.01)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_goal_on_the_oncoming_lane_is_reached_from_a_start_there(side: float) -> None:
+    lanes = scenes.straight_road(lanes=1, oncoming=1, length=300.0, pieces=3)
+    if side < 0.0:
+        lanes = scenes.mirrored(lanes)
+    goal = shapely.box(130.0, min(side * 2.0, side * 5.0), 150.0, max(side * 2.0, side * 5.0))
+    route = route_to(lanes, goal, (40.0, side * 3.5, 0.0, 14.0), seconds=12.0)
+    x, y = route.path.T
+    np.testing.assert_allclose(y[x <= 150.0], side * 3.5, atol=0.05)
+    np.testing.assert_allclose(y[x >= 200.0], 0.0, atol=0.05)
+    outward = y + np.cos(route.heading) * (route.left if side > 0.0 else route.right)
+    np.testing.assert_allclose(outward[(x > 12.0) & (x < 190.0)], side * 5.25, atol=0.01)
+
+
+def test_a_start_beside_the_middle_of_its_own_lane_has_the_path_of_the_lane() -> None:
+    lanes = scenes.straight_road(lanes=1, oncoming=1)
+    aside, middle = (route_to(lanes, start=(40.0, y, 0.0, 14.0)) for y in (1.7, 0.0))
+    np.testing.assert_array_equal(aside.path, middle.path)
+    np.testing.assert_array_equal(aside.left, middle.left)
+
+
 def test_goal_heading_decides_between_lanes_that_overlap() -> None:
     lanes = scenes.junction()
     goal = Point(50.0, 0.0).buffer(6.0)

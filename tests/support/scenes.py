@@ -146,6 +146,21 @@ def straight_road(
     return tuple(out)
 
 
+def mirrored(lanes: Sequence[Lane]) -> tuple[Lane, ...]:
+    """The lanes with y turned round, so that traffic keeps to the other side of the road."""
+    flip = np.array([1.0, -1.0])
+    return tuple(
+        replace(
+            lane,
+            left=lane.right * flip,
+            right=lane.left * flip,
+            left_neighbour=lane.right_neighbour,
+            right_neighbour=lane.left_neighbour,
+        )
+        for lane in lanes
+    )
+
+
 def arc_lane(
     lane_id: int,
     start: tuple[float, float, float],

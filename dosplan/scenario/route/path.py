@@ -61,6 +61,37 @@ def raw_path(
     return _at(line, s)
 
 
+def begun_beside(
+    raw: FloatArray, centre: FloatArray, velocity: float, goals: Sequence[shapely.Geometry]
+) -> tuple[FloatArray, int]:
+    """A path that begins where the ego is, beside its lane, and then comes back to the lane.
+
+    It comes back as in a lane change, at once, or after the goal where only the road beside the
+    lane leads over one.
+
+    Args:
+        raw: (P, 2) the path in the lane, points ``SPACING`` apart from ``BEHIND`` behind the ego.
+        centre: (2,) where the ego starts, m.
+        velocity: Of the ego, m/s.
+        goals: Areas of the goals.
+
+    Returns:
+        (P, 2) m, and the number of its points up to where it is back in the lane.
+    """
+    start = round(BEHIND / SPACING)
+    along = np.gradient(raw, axis=0)
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.hypot(*along.T)[:, None]
+    beside = ((centre - raw[start]) @ normal[start]) * normal
+    leaves = start + SMOOTHING / SPACING  # so that smoothing does not move the path at the ego
+    if not any(shapely.intersects_xy(goal, raw[start:]).any() for goal in goals):
+        for goal in goals:
+            there = np.flatnonzero(shapely.intersects_xy(goal, (raw + beside)[start:]))
+            leaves = max(leaves, start + float(there.max(initial=0)))
+    length = float(np.clip(CHANGE_SECONDS * velocity, *CHANGE_LENGTH)) / SPACING
+    share = 1.0 - _change((np.arange(len(raw)) - leaves).clip(0.0, length) / length)
+    return raw + share[:, None] * beside, int(np.count_nonzero(share))
+
+
 def finished_path(
     raw: FloatArray, clearance: FloatArray, width: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -137,8 +168,6 @@ def _with_lane_changes(
     """One line over all runs; each change is blended over the stretch both lanes share.
 
     Changes on the way to the goal begin as soon as they can, those after it as late as they can.
-    The offset goes from lane to lane by 10 u^3 - 15 u^4 + 6 u^5, whose first and second
-    derivatives vanish at both ends.
     """
     line = _joined([*_before(runs[0][0], lanelets, centre), *runs[0]])
     begun = float(shapely.line_locate_point(shapely.LineString(line), shapely.Point(centre)))
@@ -159,11 +188,19 @@ def _with_lane_changes(
         here = _at(line, begin + u * length)
         target = _joined([*(b for _, b in shared if b not in following), *following])
         beside = shapely.line_locate_point(shapely.LineString(target), shapely.points(here))
-        share = (u**3 * (10.0 - 15.0 * u + 6.0 * u**2))[:, None]
+        share = _change(u)[:, None]
         blend = (1.0 - share) * here + share * _at(target, beside)
         line = _joined([_part(line, 0.0, begin), blend, _part(target, float(beside[-1]), np.inf)])
         free_from = begin + _length(blend)
     return line
+
+
+def _change(u: FloatArray) -> FloatArray:
+    """Share of a lane change that is done: 10 u^3 - 15 u^4 + 6 u^5.
+
+    Its first and second derivatives vanish at both ends.
+    """
+    return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
 
 
 def _shared(

@@ -14,7 +14,7 @@ from shapely.geometry import LineString, Point
 
 from dosplan.geometry import lanelet_polygon, wrap_angle
 from dosplan.scenario.route.corridor import Corridor
-from dosplan.scenario.route.path import BEYOND, SPACING, finished_path, raw_path
+from dosplan.scenario.route.path import BEYOND, SPACING, begun_beside, finished_path, raw_path
 from dosplan.types import FloatArray, GoalState, Lanelet, RoadMap, Route
 from dosplan.vehicle import VehicleParameters
 
@@ -156,7 +156,9 @@ def build_route(
     """The way from the ego's start to the goal and on, as far as the episode can drive.
 
     The shortest way over the lanelets to the nearest goal, then the straightest road that is long
-    enough; without a goal area, or where none can be reached, that road alone.
+    enough; without a goal area, or where none can be reached, that road alone. An ego that starts
+    on the oncoming lane beside its own, while it overtakes, has its path begin there; the oncoming
+    lanelets that the path then uses are free.
 
     Args:
         road_map: The map.
@@ -186,8 +188,13 @@ def build_route(
         ahead=ahead,
         to_goal=len(to_goal),
     )
+    driven = ids
+    if _is_oncoming(lanes, Point(centre), heading, ids[0]):
+        areas = [goal.region for goal in goals if goal.region is not None]
+        raw, back = begun_beside(raw, centre, velocity, areas)
+        driven = [*ids, *lanes.near_for_cars(LineString(raw[:back]), 0.0)]
     corridor = Corridor.along(
-        raw, road_map, lanes.near(LineString(raw), Corridor.WIDTH), frozenset(ids) | two_way
+        raw, road_map, lanes.near(LineString(raw), Corridor.WIDTH), frozenset(driven) | two_way
     )
     path, path_heading, curvature = finished_path(raw, corridor.clearance(raw), vehicle.width)
     left, right = corridor.bounds(path, path_heading)
@@ -202,7 +209,7 @@ def build_route(
         right=right,
         outer_left=np.maximum(outer_left, left),
         outer_right=np.minimum(outer_right, right),
-        speed_limit=_speed_limits(lanes, ids, path),
+        speed_limit=_speed_limits(lanes, driven, path),
     )
 
 
@@ -221,6 +228,20 @@ def _starts(lanes: LaneGraph, point: Point, heading: float) -> list[tuple[float,
         ranked = against_it if turned > _WRONG_WAY else with_it
         ranked.append((5.0 * off_road + aside + 4.0 * turned, name, s))
     return sorted(with_it or against_it)
+
+
+def _is_oncoming(lanes: LaneGraph, point: Point, heading: float, first: int) -> bool:
+    """Whether the ego starts on lanes against it only, beside the first one of its route."""
+
+    def turned(name: int) -> float:
+        return abs(float(wrap_angle(lanes.along(name, point)[2] - heading)))
+
+    under = [turned(name) for name in lanes.near_for_cars(point, 0.0)]
+    return (
+        min(under, default=0.0) > _WRONG_WAY
+        and max(under) > np.pi - _WRONG_WAY
+        and turned(first) <= _WRONG_WAY
+    )
 
 
 def _ends(lanes: LaneGraph, goals: Sequence[GoalState]) -> list[tuple[float, int, float]]:
@@ -306,7 +327,7 @@ def _ends_of(line: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _speed_limits(lanes: LaneGraph, ids: list[int], path: FloatArray) -> FloatArray:
-    """Limit at each path point: that of the first lanelet of the route that holds it."""
+    """Limit at each path point: that of the first of the lanelets that holds it."""
     limits = np.full(len(path), np.inf)
     for name in reversed(ids):
         limit = lanes.lanelets[name].speed_limit

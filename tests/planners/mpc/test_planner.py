@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,11 +15,13 @@ from dosplan_simple.sets import ErrorCirclePredictor
 from shapely.geometry import box
 
 from dosplan.api import PredictorSettings
+from dosplan.scenario import load_scenario
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
 from dosplan.types import Arm, Episode, EpisodeEnd, GoalState, Outcome, Scenario, SolveStatus
 from dosplan.vehicle import VehicleParameters
+from tests.support import scenes
 
 VEHICLE = VehicleParameters()
 
@@ -75,6 +78,25 @@ def test_slow_leader_is_passed_where_the_sets_allow_it(arm: Arm) -> None:
     assert row.safe
     if arm is Arm.WITHOUT_DOS:
         assert row.outcome is Outcome.SUCCESS
+
+
+@pytest.mark.parametrize("arm", list(Arm))
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["right-hand traffic", "left-hand traffic"])
+@pytest.mark.parametrize("beside", [0.0, 3.5], ids=["own lane", "oncoming lane"])
+def test_an_ego_in_the_middle_of_overtaking_does_not_turn_into_the_car_beside_it(
+    tmp_path: Path, beside: float, side: float, arm: Arm
+) -> None:
+    lanes = scenes.straight_road(lanes=1, oncoming=1, length=350.0)
+    goal = scenes.rectangle(30.0, 3.4, 200.0, side * beside)
+    path = scenes.write_scenario_xml(
+        tmp_path / "abeam.xml",
+        lanes if side > 0.0 else scenes.mirrored(lanes),
+        [scenes.User(500, scenes.driving(55.0, 0.0, 10.0, 161))],
+        [scenes.Problem(start=(53.0, side * 3.5, 0.0, 14.0), goals=(scenes.Goal(0, 160, goal),))],
+    )
+    scenario = load_scenario(path)
+    row = score(scenario, run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), arm))
+    assert row.outcome is Outcome.SUCCESS, row
 
 
 def test_reports_tell_about_the_solve() -> None:

@@ -313,21 +313,6 @@ METRICS: tuple[Metric, ...] = (
         Better.LOWER,
         Group.MAIN,
     ),
-    Metric(
-        name="off_commonroad_road",
-        title="Off the road as CommonRoad counts it",
-        short="Off CommonRoad's road",
-        unit="%",
-        definition="part of the ego's rectangle is outside the union of all lanelets, whatever "
-        "their type, at a step, also before a collision; an open end of the map is an edge; "
-        "episodes that drove a step",
-        aggregate=Aggregate.SHARE,
-        group=Group.OUTCOME,
-        better=Better.LOWER,
-        measure=_leaves_lanelets,
-        kind=bool,
-        digits=1,
-    ),
     _share(
         "goal_missed",
         "Goal missed",
@@ -375,6 +360,21 @@ METRICS: tuple[Metric, ...] = (
         Better.HIGHER,
         Group.RIDE,
         short="Comfortable",
+    ),
+    Metric(
+        name="off_commonroad_road",
+        title="Off the road as CommonRoad counts it",
+        short="Off CommonRoad's road",
+        unit="%",
+        definition="part of the ego's rectangle is outside the union of all lanelets, whatever "
+        "their type, at a step, also before a collision; an open end of the map is an edge; "
+        "episodes that drove a step",
+        aggregate=Aggregate.SHARE,
+        group=Group.RIDE,
+        better=Better.LOWER,
+        measure=_leaves_lanelets,
+        kind=bool,
+        digits=1,
     ),
     Metric(
         name="min_time_to_collision",

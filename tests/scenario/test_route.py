@@ -264,6 +264,14 @@ def test_a_start_on_the_oncoming_lane_begins_there_and_comes_back(
     np.testing.assert_allclose(outward[(x > 102.0) & on_road], side * 1.75, atol=0.01)
 
 
+def test_the_ego_has_room_on_its_way_back_where_oncoming_lanelets_meet() -> None:
+    lanes = scenes.straight_road(lanes=1, oncoming=1, length=300.0, pieces=3)
+    route = route_to(lanes, start=(75.0, 3.2, 0.0, 14.0), seconds=12.0)
+    crossing = (route.path[:, 0] > 99.0) & (np.abs(route.path[:, 1]) < 1.7)
+    assert np.any(route.path[crossing, 1] > 1.0)  # It comes back over the line where they meet.
+    assert route.left[crossing].min() >= 0.5 * VEHICLE.width
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_goal_on_the_oncoming_lane_is_reached_from_a_start_there(side: float) -> None:
     lanes = scenes.straight_road(lanes=1, oncoming=1, length=300.0, pieces=3)

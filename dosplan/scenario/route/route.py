@@ -192,7 +192,7 @@ def build_route(
     if _is_oncoming(lanes, Point(centre), heading, ids[0]):
         areas = [goal.region for goal in goals if goal.region is not None]
         raw, back = begun_beside(raw, centre, velocity, areas)
-        driven = [*ids, *lanes.near_for_cars(LineString(raw[:back]), 0.0)]
+        driven = [*ids, *lanes.near_for_cars(LineString(raw[:back]), 0.5 * vehicle.width)]
     corridor = Corridor.along(
         raw, road_map, lanes.near(LineString(raw), Corridor.WIDTH), frozenset(driven) | two_way
     )

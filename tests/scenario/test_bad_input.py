@@ -198,7 +198,7 @@ def test_a_number_too_large_for_a_row_is_named(tmp_path: Path, value: str) -> No
 @pytest.mark.parametrize(
     ("key", "value", "told"),
     [
-        ("source", 10, "config.source: Expected `str`, got `int`"),
+        ("source", 10, "config.source: Expected `str | array`, got `int`"),
         ("planner_options", 1.5, "config.planner_options: Expected `object`, got `float`"),
         ("predictor_options", [], "config.predictor_options: Expected `object`, got `array`"),
         ("arms", ["with_dos", "both"], "config.arms[1]: Invalid enum value 'both'"),

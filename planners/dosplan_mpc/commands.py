@@ -35,12 +35,14 @@ class CompileCommand:
         from dosplan_mpc.compiled import CompileError, is_whole
         from dosplan_mpc.config import MpcConfig
 
-        for problem in nlp.problems(MpcConfig(), VehicleParameters(), STEP_SECONDS):
+        problems = nlp.problems(MpcConfig(), VehicleParameters(), STEP_SECONDS)
+        for number, problem in enumerate(problems, start=1):
             path = problem.formulation.library()
             began = time.perf_counter()
             if is_whole(path) and not options.force:
                 said = "is there already"
             else:
+                print(f"compiling problem {number} of {len(problems)} ...", flush=True)
                 try:
                     problem.formulation.compile(path)
                 except CompileError as error:

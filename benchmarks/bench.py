@@ -34,8 +34,7 @@ from dosplan_mpc.compiled import CompileError, is_whole
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.nlp import Guess, MpcProblem, problems
 from dosplan_mpc.obstacles import ForbiddenSets
-from dosplan_mpc.shape import STATIONS, station_offsets
-from dosplan_mpc.stage import STATE_SIZE, Reference, StageParameters, Station
+from dosplan_mpc.stage import STATE_SIZE
 from dosplan_net.encoder import MAP, SCENE, shipped_weights
 from dosplan_net.engine import Engine
 from dosplan_net.export import export
@@ -62,6 +61,7 @@ from dosplan.types import (
     Scenario,
 )
 from dosplan.vehicle import VehicleParameters
+from tests.planners.mpc.roads import straight_stages
 
 PERCENTILES: Final = (50, 95, 99)
 ROAD_USERS: Final = (5, 20, 50, 200)
@@ -287,7 +287,13 @@ def measure_compiled() -> Figures:
     states = np.zeros((n + 1, STATE_SIZE))
     states[:, EGO_X] = np.arange(n + 1)
     states[:, EGO_VELOCITY] = 10.0
-    stages = _straight_stages(states[:, EGO_X], config.slots)
+    sets = ForbiddenSets(
+        ids=np.array([1]),
+        centre=np.tile([12.0, -0.5], (1, n, 1)),
+        matrix=np.tile(np.diag([0.3, 0.5]), (1, n, 1, 1)),
+        penalty=np.full((1, n), 1000.0),
+    )
+    stages = straight_stages(states[:, EGO_X], config.slots, sets, right=2.0)
     guess = Guess(states, np.zeros((n, 2)), np.zeros(n), states[:, EGO_X])
     solve = [
         partial(problem.solve, states[0], stages, guess, np.zeros((n, config.slots)))
@@ -296,39 +302,6 @@ def measure_compiled() -> Figures:
     times = [[cpu_time(action) for action in solve] for _ in range(SOLVES)]
     slow, quick = np.median(times, axis=0).tolist()
     return {"virtual_machine": slow, "compiled": quick, "ratio": quick / slow}
-
-
-def _straight_stages(x: FloatArray, slots: int) -> StageParameters:
-    """A straight road along +x at 10 m/s, with a set on it."""
-    n, zero = len(x) - 1, np.zeros(len(x))
-    beside = x[:, None] + station_offsets(VEHICLE)
-    sets = ForbiddenSets(
-        ids=np.array([1]),
-        centre=np.tile([12.0, -0.5], (1, n, 1)),
-        matrix=np.tile(np.diag([0.3, 0.5]), (1, n, 1, 1)),
-        penalty=np.full((1, n), 1000.0),
-    )
-
-    def along_x(x: FloatArray) -> FloatArray:
-        return np.stack([x, *[np.zeros_like(x)] * 3], axis=-1)
-
-    return StageParameters(
-        reference=Reference(
-            path=along_x(x),
-            velocity=np.full(len(x), 10.0),
-            offset=zero,
-            station=zero,
-            station_weight=zero,
-            heading=zero,
-            heading_weight=zero,
-        ),
-        stations=Station(
-            path=along_x(beside),
-            right=np.full((len(x), STATIONS), -2.0),
-            left=np.full((len(x), STATIONS), 5.0),
-        ),
-        slots=sets.fill(slots),
-    )
 
 
 def measure_startup() -> dict[str, Figures]:

@@ -1,4 +1,4 @@
-"""Stages of a straight road, for tests of the optimal control problem."""
+"""Stages of a straight road, for tests and times of the optimal control problem."""
 
 from __future__ import annotations
 
@@ -11,13 +11,16 @@ from dosplan.types import FloatArray
 from dosplan.vehicle import VehicleParameters
 
 
-def straight_stages(x: FloatArray, slots: int, sets: ForbiddenSets) -> StageParameters:
-    """A road along +x with edges 5 m to both sides, driven at 10 m/s.
+def straight_stages(
+    x: FloatArray, slots: int, sets: ForbiddenSets, right: float = 5.0
+) -> StageParameters:
+    """A road along +x with its left edge 5 m aside, driven at 10 m/s.
 
     Args:
         x: (N + 1,) where the guess is, m.
         slots: Number of slots of a stage.
         sets: Forbidden sets of stages 1 .. N.
+        right: Distance of the right edge, m.
 
     Returns:
         Parameters of the stages.
@@ -36,7 +39,7 @@ def straight_stages(x: FloatArray, slots: int, sets: ForbiddenSets) -> StagePara
         ),
         stations=Station(
             path=_along_x(beside),
-            right=np.full((len(x), STATIONS), -5.0),
+            right=np.full((len(x), STATIONS), -right),
             left=np.full((len(x), STATIONS), 5.0),
         ),
         slots=sets.fill(slots),

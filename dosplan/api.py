@@ -108,16 +108,17 @@ class PluginSpec(Generic[PluginT]):
         if self.settings is None:
             object.__setattr__(self, "settings", self.plugin.settings())
 
-    def build(self, seed: int = 0) -> PluginT:
+    def build(self, seed: int = 0, **others: int) -> PluginT:
         """Makes the plug-in.
 
         Args:
             seed: Seed of the run.
+            **others: What else its constructor takes, such as the future of a traffic.
 
         Returns:
             A new instance.
         """
-        return self.plugin(seed=seed, settings=self.settings)
+        return self.plugin(seed=seed, settings=self.settings, **others)
 
 
 class Planner(ABC):

@@ -182,13 +182,16 @@ def create_predictor(
     return predictor
 
 
-def create_traffic(spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS) -> Traffic:
+def create_traffic(
+    spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS, *, future: int = 0
+) -> Traffic:
     """Builds the traffic that ``spec`` names.
 
     Args:
         spec: As for ``find_planner``.
         seed: Seed of the run.
         options: As for ``choose_planner``.
+        future: Which continuation of the same past it drives, 0 or more.
 
     Returns:
         The traffic.
@@ -196,7 +199,7 @@ def create_traffic(spec: str, seed: int, options: Mapping[str, object] = _NO_OPT
     Raises:
         RegistryError: As for ``choose_planner``, or its constructor raises.
     """
-    traffic: Traffic = create_plugin(PluginKind.TRAFFIC, spec, seed, options)
+    traffic: Traffic = create_plugin(PluginKind.TRAFFIC, spec, seed, options, future=future)
     return traffic
 
 
@@ -247,12 +250,16 @@ def choose_plugin(
 
 
 def create_plugin(
-    kind: PluginKind, spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS
+    kind: PluginKind,
+    spec: str,
+    seed: int,
+    options: Mapping[str, object] = _NO_OPTIONS,
+    **others: int,
 ) -> Any:
-    """Builds a plug-in; as ``create_planner``, of any kind."""
+    """Builds a plug-in; as ``create_planner``, of any kind; ``others`` go to its constructor."""
     chosen = choose_plugin(kind, spec, options)
     try:
-        return chosen.build(seed)
+        return chosen.build(seed, **others)
     except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
         place = failure_place(error, chosen.plugin)
         raise RegistryError(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -105,9 +105,10 @@ def run_episode(
     world: World | None = None
     error: str | None = None
     try:
-        with _named_failure("traffic", traffic):
-            world = World(scenario, traffic, history=config.history)
-        end = _drive(world, planner, predictor, arm, config, log)
+        with _closed_at_the_end(traffic):
+            with _named_failure("traffic", traffic):
+                world = World(scenario, traffic, history=config.history)
+            end = _drive(world, planner, predictor, arm, config, log)
     except _PluginFailedError as failure:
         end, error = EpisodeEnd.PLANNER_FAILURE, str(failure)
         on_failure(failure.cause)
@@ -221,6 +222,19 @@ def _cycle(
     log.occupancies.append(occupancy)
     log.cycle_steps.append(observation.step)
     return plan
+
+
+@contextmanager
+def _closed_at_the_end(traffic: Traffic) -> Iterator[None]:
+    """Closes the traffic, however the episode ends; of two failures the first is reported."""
+    try:
+        yield
+    except BaseException:
+        with suppress(Exception):
+            traffic.close()
+        raise
+    with _named_failure("traffic", traffic):
+        traffic.close()
 
 
 @contextmanager

@@ -85,14 +85,20 @@ class Traffic(ABC):
         if "as_recorded" not in vars(cls):
             cls.as_recorded = False
 
-    def __init__(self, *, seed: int = 0, settings: Any = NoSettings()) -> None:
-        """Keeps the seed; every random choice of a traffic must come from it and the scenario.
+    def __init__(self, *, seed: int = 0, settings: Any = NoSettings(), future: int = 0) -> None:
+        """Keeps the seed and the future.
+
+        Every random choice of a traffic must come from these two and the scenario, never from
+        what was driven before, so that both arms and all planners meet the same road users.
 
         Args:
             seed: Seed of the run.
             settings: The options; a traffic that has some keeps what it needs of them.
+            future: Which continuation of the same past is driven, 0 or more. A run has future 0
+                alone unless it asks for several.
         """
         self.seed = seed
+        self.future = future
 
     @abstractmethod
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:
@@ -120,6 +126,13 @@ class Traffic(ABC):
             The road users on the scene at that step.
         """
 
+    def close(self) -> None:  # noqa: B027 - a hook
+        """Hook for what is to be let go, such as a process; does nothing by default.
+
+        It is called once when an episode has ended, however that was, also where ``begin`` has
+        failed. ``begin`` may come again after it.
+        """
+
 
 class Replay(Traffic):
     """All drive as recorded; the scene is empty once the recording has ended."""
@@ -127,14 +140,17 @@ class Replay(Traffic):
     name = "replay"
     as_recorded = True
 
-    def __init__(self, *, seed: int = 0, settings: NoSettings = NoSettings()) -> None:
+    def __init__(
+        self, *, seed: int = 0, settings: NoSettings = NoSettings(), future: int = 0
+    ) -> None:
         """Makes it; nothing here is random.
 
         Args:
             seed: Seed of the run.
             settings: There are none.
+            future: Not used: what is recorded is the only future.
         """
-        super().__init__(seed=seed, settings=settings)
+        super().__init__(seed=seed, settings=settings, future=future)
         self._recording = empty_tracks(0)
 
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:

@@ -45,7 +45,7 @@ for package in sys.argv[1:]:
                 raise
 print("all")
 """
-PLUGINS = ("mpc", "baseline", "net", "dos", "simple", "wale", "peers")
+PLUGINS = ("mpc", "baseline", "net", "dos", "simple", "wale", "peers", "reactive")
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ from shapely.geometry import box
 from dosplan.api import Planner, Predictor
 from dosplan.scenario.synthetic import busy_scenario, steady_tracks, straight_scenario
 from dosplan.simulation.loop import SimulationConfig, run_episode
+from dosplan.simulation.traffic import Replay
 from dosplan.simulation.world import World
 from dosplan.types import (
     EGO_VELOCITY,
@@ -379,3 +380,35 @@ def test_an_episode_is_the_same_twice() -> None:
         for _ in range(2)
     )
     np.testing.assert_array_equal(first.states, second.states)
+
+
+class _Counted(Replay):
+    """Counts how often it is closed."""
+
+    name = "counted-v1"
+    closed = 0
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.mark.parametrize("planner", [CruisePlanner(), RaisingPlanner()])
+def test_traffic_is_closed_once_when_an_episode_has_ended(planner: Planner) -> None:
+    traffic = _Counted()
+    run_episode(straight_scenario(), planner, NonePredictor(), Arm.WITH_DOS, traffic=traffic)
+    assert traffic.closed == 1
+
+
+def test_a_traffic_that_cannot_be_closed_is_named_unless_something_failed_before() -> None:
+    class Stuck(Replay):
+        name = "stuck-v1"
+
+        def close(self) -> None:
+            raise OSError("still busy")
+
+    scenario = straight_scenario()
+    stuck = run_episode(scenario, CruisePlanner(), NonePredictor(), Arm.WITH_DOS, traffic=Stuck())
+    assert stuck.end is EpisodeEnd.PLANNER_FAILURE
+    assert str(stuck.error).startswith("traffic stuck-v1: OSError: still busy")
+    both = run_episode(scenario, RaisingPlanner(), NonePredictor(), Arm.WITH_DOS, traffic=Stuck())
+    assert str(both.error).startswith("planner ")

@@ -39,8 +39,8 @@ class ShyTraffic(Traffic):
     name = "shy-v1"
     settings = Shyness
 
-    def __init__(self, *, seed: int = 0, settings: Shyness = Shyness()) -> None:
-        super().__init__(seed=seed, settings=settings)
+    def __init__(self, *, seed: int = 0, settings: Shyness = Shyness(), future: int = 0) -> None:
+        super().__init__(seed=seed, settings=settings, future=future)
         self.near = settings.near
 
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:

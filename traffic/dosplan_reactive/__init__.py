@@ -1,0 +1,1 @@
+"""Traffic that keeps to the recording and reacts to the ego."""

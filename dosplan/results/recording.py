@@ -34,6 +34,7 @@ from dosplan.types import (
     IntArray,
     Occupancy,
     Scenario,
+    Signals,
     SolveReport,
     SolveStatus,
     Tracks,
@@ -85,6 +86,7 @@ class Recording:
         set_angles: (M, S) direction of the first semi-axis, rad.
         exact: Whether times and slacks are kept exactly; in files of older versions they are in
             single precision.
+        signals: The traffic lights as they were; None where that is as recorded.
 
     Raises:
         ValueError: Arrays do not fit each other, or what is no number is where one has to be.
@@ -116,6 +118,7 @@ class Recording:
     set_semi_axes: FloatArray
     set_angles: FloatArray
     exact: bool = True
+    signals: Signals | None = None
 
     def __post_init__(self) -> None:
         steps, cycles = len(self.inputs), len(self.cycle_steps)
@@ -223,6 +226,7 @@ class Recording:
             road_slack=np.array([report.road_slack for report in reports], dtype=np.float64),
             active_ids=tuple(tuple(int(i) for i in report.active_ids) for report in reports),
             fallback=tuple(str(report.fallback or "") for report in reports),
+            signals=episode.signals,
             plan_centres=_planned_centres(scenario, episode),
             **_kept_sets(episode),
         )

@@ -28,6 +28,7 @@ from dosplan.types import (
     Outcome,
     Scenario,
     Score,
+    Signals,
     SolveReport,
     SolveStatus,
     Tracks,
@@ -57,6 +58,12 @@ class ScoredPart:
     states: FloatArray
     ego: FloatArray
     cycles: IntArray
+
+    @property
+    def signals(self) -> Signals:
+        """The traffic lights as they were in the episode, at the steps of the scenario."""
+        own = self.episode.signals
+        return self.scenario.signals if own is None else own
 
     @property
     def reports(self) -> list[SolveReport]:

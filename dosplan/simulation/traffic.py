@@ -18,6 +18,7 @@ from dosplan.types import (
     USER_SIZE,
     FloatArray,
     IntArray,
+    LightStates,
     RoadUserKind,
     Scenario,
     ShapeError,
@@ -132,6 +133,18 @@ class Traffic(ABC):
         It is called once when an episode has ended, however that was, also where ``begin`` has
         failed. ``begin`` may come again after it.
         """
+
+    def lights(self, step: int) -> LightStates | None:
+        """Tells what the traffic lights show, where the traffic switches them itself.
+
+        Args:
+            step: The present step: ``first_step`` after ``begin``, then that of the last ``step``.
+
+        Returns:
+            The states of the same lights at every step; None, as by default, where they change as
+            the scenario's file says.
+        """
+        return None
 
 
 class Replay(Traffic):

@@ -14,14 +14,17 @@ import numpy.typing as npt
 from dosplan.api import PluginError
 from dosplan.simulation.traffic import Replay, RoadUsers, Traffic
 from dosplan.types import (
+    COLOURS,
     EGO_SIZE,
     HISTORY_STEPS,
     USER_SIZE,
     FloatArray,
     IntArray,
+    LightStates,
     Observation,
     RoadUserKind,
     Scenario,
+    Signals,
     Tracks,
 )
 
@@ -61,6 +64,8 @@ class World:
         if not isinstance(past, Tracks) or past.steps != self.start_step + 1:
             raise PluginError(f"begin must return Tracks of the steps 0 to {self.start_step}")
         self._others = _Others(past, max(scenario.task.final_step, self.start_step) + 1)
+        self._lights: list[LightStates] = []
+        self._look_at_lights()
 
     @property
     def now(self) -> int:
@@ -90,6 +95,32 @@ class World:
         """
         return self.scenario.tracks if self.traffic.as_recorded else self._others.tracks(self.now)
 
+    @property
+    def signals(self) -> Signals | None:
+        """The lights as they were, at the steps 0 to now; None where that is as recorded.
+
+        Before the ego's start they were as at it.
+        """
+        if not self._lights:
+            return None
+        number = {colour: k for k, colour in enumerate(COLOURS)}
+        before = self.now + 1 - len(self._lights)
+        shown = [self._lights[max(k - before, 0)] for k in range(self.now + 1)]
+        return Signals(
+            ids=self._lights[0].ids,
+            colours=np.array([[number[c] for c in at.colours] for at in shown]).T,
+            since=np.stack([at.since for at in shown], axis=1),
+        )
+
+    def _look_at_lights(self) -> None:
+        """Asks the traffic what the lights show now."""
+        lights = self.traffic.lights(self.now)
+        if lights is None:
+            return
+        if self._lights and not np.array_equal(lights.ids, self._lights[0].ids):
+            raise PluginError("lights must name the same lights at every step")
+        self._lights.append(lights)
+
     def observation(self) -> Observation:
         """What may be known now.
 
@@ -115,6 +146,7 @@ class World:
             valid=valid,
             road_map=self.scenario.road_map,
             task=self.scenario.task,
+            lights=self._lights[-1] if self._lights else self.scenario.signals.at(self.now),
         )
 
     def step(self, wanted: FloatArray) -> None:
@@ -132,6 +164,7 @@ class World:
         self._others.add(self.now + 1, self.traffic.step(self.now + 1, np.stack(states)))
         self._states = states
         self._inputs.append(applied)
+        self._look_at_lights()
 
     def wait(self) -> None:
         """Lets one step pass in which the ego stays where it is, with no other history.
@@ -144,6 +177,7 @@ class World:
         self._others.add(self.now + 1, self.traffic.step(self.now + 1, self.ego[None]))
         self.start_step = self.now + 1
         self._states, self._inputs = self._states[-1:], []
+        self._look_at_lights()
 
 
 def watch(scenario: Scenario, every: int, history: int = HISTORY_STEPS) -> Iterator[Observation]:

@@ -33,6 +33,7 @@ from dosplan.types.arrays import (
     ShapeError,
 )
 from dosplan.types.episode import Arm, DrivenEpisode, Episode, EpisodeEnd
+from dosplan.types.lights import COLOURS, LightColour, LightStates, Signals
 from dosplan.types.planning import (
     HISTORY_STEPS,
     Observation,
@@ -41,21 +42,33 @@ from dosplan.types.planning import (
     SolveReport,
     SolveStatus,
 )
+from dosplan.types.road import (
+    Incoming,
+    Intersection,
+    Lanelet,
+    LineMarking,
+    RoadMap,
+    SignRule,
+    StopLine,
+    TrafficLight,
+    TrafficSign,
+)
 from dosplan.types.scenario import (
     STEP_SECONDS,
     GoalState,
-    Lanelet,
     PlanningTask,
-    RoadMap,
     RoadUserKind,
     Route,
+    RouteStop,
     Scenario,
+    StopCause,
     Tracks,
     place_of,
 )
 from dosplan.types.score import CollisionClass, Measure, Outcome, Score
 
 __all__ = [
+    "COLOURS",
     "EGO_HEADING",
     "EGO_SIZE",
     "EGO_STEERING",
@@ -77,8 +90,13 @@ __all__ = [
     "EpisodeEnd",
     "FloatArray",
     "GoalState",
+    "Incoming",
     "IntArray",
+    "Intersection",
     "Lanelet",
+    "LightColour",
+    "LightStates",
+    "LineMarking",
     "Measure",
     "Observation",
     "Occupancy",
@@ -88,11 +106,18 @@ __all__ = [
     "RoadMap",
     "RoadUserKind",
     "Route",
+    "RouteStop",
     "Scenario",
     "Score",
     "ShapeError",
+    "SignRule",
+    "Signals",
     "SolveReport",
     "SolveStatus",
+    "StopCause",
+    "StopLine",
     "Tracks",
+    "TrafficLight",
+    "TrafficSign",
     "place_of",
 ]

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from dosplan.types.arrays import EGO_SIZE, FloatArray, IntArray, ShapeError, frozen
+from dosplan.types.lights import Signals
 from dosplan.types.planning import Occupancy, Plan, SolveReport
 from dosplan.types.scenario import Tracks
 
@@ -48,6 +49,7 @@ class Episode:
         cycle_steps: (C,) step at which each cycle ran.
         error: What went wrong, where ``end`` is ``PLANNER_FAILURE``.
         traffic: Name of the traffic.
+        signals: The traffic lights as they were; None where that is as recorded.
     """
 
     scenario_id: str
@@ -64,6 +66,7 @@ class Episode:
     cycle_steps: IntArray
     error: str | None = None
     traffic: str = "replay"
+    signals: Signals | None = None
 
     def __post_init__(self) -> None:
         frozen(self, "inputs", np.float64, (None, 2), finite=True)
@@ -100,6 +103,10 @@ class DrivenEpisode(Protocol):
     @property
     def traffic(self) -> str:
         """Name of the traffic."""
+
+    @property
+    def signals(self) -> Signals | None:
+        """The traffic lights as they were; None where that is as recorded."""
 
     @property
     def start_step(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from numbers import Integral, Real
 from typing import Final, Self
@@ -19,7 +19,9 @@ from dosplan.types.arrays import (
     ShapeError,
     frozen,
 )
-from dosplan.types.scenario import PlanningTask, RoadMap, RoadUserKind
+from dosplan.types.lights import LightStates
+from dosplan.types.road import RoadMap
+from dosplan.types.scenario import PlanningTask, RoadUserKind
 
 HISTORY_STEPS: Final = 31  # Steps of the past that a predictor sees, the present one included: 3 s.
 
@@ -40,6 +42,7 @@ class Observation:
         valid: (N, H) whether the road user was on the scene; the last column is all True.
         road_map: The map.
         task: Start, goal and route.
+        lights: What every traffic light shows now, and for how long it has.
     """
 
     step: int
@@ -53,6 +56,7 @@ class Observation:
     valid: BoolArray
     road_map: RoadMap
     task: PlanningTask
+    lights: LightStates = field(default_factory=LightStates)
 
     def __post_init__(self) -> None:
         frozen(self, "ego", np.float64, (EGO_SIZE,), finite=True)
@@ -108,9 +112,9 @@ class Occupancy:
         frozen(self, "valid", np.bool_, (n, t))
         frozen(self, "footprint", np.float64, (n, 2), finite=True)
         frozen(self, "heading", np.float64, (n, t))
-        for field in ("centre", "semi_axes", "angle", "heading"):
-            if not np.all(np.isfinite(getattr(self, field)[self.valid])):
-                raise ShapeError(f"Occupancy.{field} holds a NaN or an infinite value where valid")
+        for name in ("centre", "semi_axes", "angle", "heading"):
+            if not np.all(np.isfinite(getattr(self, name)[self.valid])):
+                raise ShapeError(f"Occupancy.{name} holds a NaN or an infinite value where valid")
         if np.any(self.semi_axes[self.valid] < 0):
             raise ShapeError("Occupancy.semi_axes holds a negative length")
 
@@ -252,10 +256,10 @@ class SolveReport:
             ("fallback", isinstance(self.fallback, str | None), "a name or None"),
             ("road_slack", _finite(self.road_slack), "a finite number"),
         )
-        for field, holds, wanted in checks:
+        for name, holds, wanted in checks:
             if not holds:
                 raise ShapeError(
-                    f"SolveReport.{field} is {getattr(self, field)!r}, expected {wanted}"
+                    f"SolveReport.{name} is {getattr(self, name)!r}, expected {wanted}"
                 )
 
 

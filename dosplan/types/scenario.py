@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from shapely import Geometry, Polygon, box
+from shapely import Geometry, Polygon
 
 from dosplan.types.arrays import (
     EGO_SIZE,
@@ -18,6 +18,8 @@ from dosplan.types.arrays import (
     ShapeError,
     frozen,
 )
+from dosplan.types.lights import Signals
+from dosplan.types.road import RoadMap
 from dosplan.types.vehicle import VehicleParameters
 
 STEP_SECONDS: Final = 0.1
@@ -41,83 +43,6 @@ class RoadUserKind(StrEnum):
     def moves(self) -> bool:
         """Whether it can move at all: it is neither parked nor part of the scenery."""
         return self not in (RoadUserKind.PARKED, RoadUserKind.STATIC)
-
-
-@dataclass(frozen=True)
-class Lanelet:
-    """A lane segment of the map.
-
-    Attributes:
-        id: The lanelet's id in the file.
-        left: (P, 2) left bound, m.
-        right: (P, 2) right bound, m, point by point beside ``left``.
-        successors: Ids of the lanelets that follow.
-        predecessors: Ids of the lanelets before it.
-        left_neighbour: Id of the adjacent lanelet on the left **in the same direction**.
-        right_neighbour: The same on the right.
-        speed_limit: m/s, or None where the map names none.
-        for_cars: Whether a route may use it; False for footways, bicycle lanes and bus lanes,
-            which have no links to lanelets for cars.
-        is_road: Whether it is carriageway, on which a car is not off the road; a bus lane is, a
-            footway, a bicycle lane and a pedestrian crossing are not.
-    """
-
-    id: int
-    left: FloatArray
-    right: FloatArray
-    successors: tuple[int, ...] = ()
-    predecessors: tuple[int, ...] = ()
-    left_neighbour: int | None = None
-    right_neighbour: int | None = None
-    speed_limit: float | None = None
-    for_cars: bool = True
-    is_road: bool = True
-
-    def __post_init__(self) -> None:
-        frozen(self, "left", np.float64, (None, 2), finite=True)
-        frozen(self, "right", np.float64, self.left.shape, finite=True)
-
-    @property
-    def centre(self) -> FloatArray:
-        """(P, 2) centre line, m."""
-        return 0.5 * (self.left + self.right)
-
-
-@dataclass(frozen=True)
-class RoadMap:
-    """Lanelets and the area on which the ego may drive.
-
-    Attributes:
-        lanelets: Every lanelet of the map.
-        drivable: Union of the lanelets that are road, a polygon or several, m; the ego's rectangle
-            must stay inside it. CommonRoad's own drivability checker takes **all** lanelets, so
-            that a car on a footway is on the road there; here it is off it. A crossing
-            on a lane is road, as the lane is.
-        open_ends: What lies beyond the ends of the map where a road is cut off, a car's length of
-            it, m. No edge of the road is there, so the ego may hang over the end; CommonRoad's
-            checker counts that as off the road.
-    """
-
-    lanelets: tuple[Lanelet, ...]
-    drivable: Geometry
-    open_ends: Geometry = field(default_factory=Polygon)
-
-    def road_within(self, west: float, south: float, east: float, north: float) -> Geometry:
-        """The drivable area and the open ends of the map in a box.
-
-        Args:
-            west: Smallest x, m.
-            south: Smallest y, m.
-            east: Largest x, m.
-            north: Largest y, m.
-
-        Returns:
-            Where a car is not off the road.
-        """
-        area = box(west, south, east, north)
-        inside = self.drivable.intersection(area)
-        beyond = self.open_ends.intersection(area)
-        return inside if beyond.is_empty else inside.union(beyond)
 
 
 @dataclass(frozen=True)
@@ -186,6 +111,38 @@ class GoalState:
     velocity: tuple[float, float] | None = None
 
 
+class StopCause(StrEnum):
+    """Why the ego may have to stop at a place of its route."""
+
+    LIGHT = "light"
+    STOP_SIGN = "stop_sign"
+    GIVE_WAY = "give_way"
+    CROSSWALK = "crosswalk"
+
+
+@dataclass(frozen=True)
+class RouteStop:
+    """A place of a route at which the ego may have to stop.
+
+    Attributes:
+        cause: What may make it stop: a light that is red; a stop sign, always; a sign to give way,
+            for those who have priority; a crosswalk, for who is on it or about to step on it.
+        arclength: Arc length of the line before which it stops, along the route's path, m; the
+            ego's front must not pass it.
+        until: Arc length at which the place is left behind, m: the far end of the intersection or
+            of the crosswalk.
+        lights: Ids of the lights that apply to the way the route goes on; of ``LIGHT`` only.
+        conflict: Area in which others go first, m: the lanelets with priority whose way crosses
+            the route's, or the crosswalk; empty for a light.
+    """
+
+    cause: StopCause
+    arclength: float
+    until: float
+    lights: tuple[int, ...] = ()
+    conflict: Geometry = field(default_factory=Polygon)
+
+
 @dataclass(frozen=True)
 class Route:
     """The way to the goal: lanelets and a smooth reference path with the free width beside it.
@@ -206,6 +163,7 @@ class Route:
             included, m, >= 0.
         outer_right: (P,) the same of its right edge, m, <= 0.
         speed_limit: (P,) m/s; infinite where the map names none.
+        stops: Where the ego may have to stop, in the order of the path.
     """
 
     lanelet_ids: tuple[int, ...]
@@ -218,6 +176,7 @@ class Route:
     outer_left: FloatArray
     outer_right: FloatArray
     speed_limit: FloatArray
+    stops: tuple[RouteStop, ...] = ()
 
     def __post_init__(self) -> None:
         frozen(self, "arclength", np.float64, (None,), finite=True)
@@ -273,6 +232,7 @@ class Scenario:
         road_map: The map.
         tracks: The recording, future included.
         task: Start, goal and route of the ego.
+        signals: The lights of the map as they are recorded, future included.
         tags: The file's tags (``simulated``, ``highway``, ...).
         notes: Parts of the file that were left out or corrected; a line each.
     """
@@ -284,6 +244,7 @@ class Scenario:
     road_map: RoadMap
     tracks: Tracks
     task: PlanningTask
+    signals: Signals = field(default_factory=Signals)
     tags: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
 

@@ -34,7 +34,7 @@ def road_map(lanes: Sequence[scenes.Lane]) -> RoadMap:
             lane.predecessors,
             same(lane.left_neighbour),
             same(lane.right_neighbour),
-            lane.speed_limit,
+            speed_limit=lane.speed_limit,
         )
         for lane in lanes
     )

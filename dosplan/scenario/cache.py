@@ -31,7 +31,7 @@ from dosplan.types import Scenario
 
 MAX_BYTES: Final = 4 * 1024**3
 """Size that the whole cache keeps to, about."""
-_FORMAT: Final = 7
+_FORMAT: Final = 8
 _LIBRARIES: Final = ("networkx", "numpy", "scipy", "shapely")
 
 

@@ -131,7 +131,8 @@ class RouteStop:
             ego's front must not pass it.
         until: Arc length at which the place is left behind, m: the far end of the intersection or
             of the crosswalk.
-        lights: Ids of the lights that apply to the way the route goes on; of ``LIGHT`` only.
+        lights: Ids of the lights that hold for the way the route goes on. Those of a sign overrule
+            it while they are lit; those of a crosswalk are of the crossing that it belongs to.
         conflict: Area in which others go first, m: the lanelets with priority whose way crosses
             the route's, or the crosswalk; empty for a light.
     """

@@ -23,6 +23,7 @@ _SHOWN: Final = 40
 _NAMES: Final = {
     "planningProblem": "planning problem",
     "trafficSign": "traffic sign",
+    "trafficLight": "traffic light",
     "dynamicObstacle": "obstacle",
     "staticObstacle": "obstacle",
     "environmentObstacle": "obstacle",

@@ -26,6 +26,7 @@ from dosplan.scenario.commonroad.elements import (
     step,
 )
 from dosplan.scenario.commonroad.obstacles import Resampling, read_tracks
+from dosplan.scenario.commonroad.regulation import signals
 from dosplan.scenario.commonroad.road_map import read_road_map
 from dosplan.scenario.commonroad.states import SHAPES, Part, position, read_shape, region
 from dosplan.scenario.route.route import build_route
@@ -164,6 +165,7 @@ def _scenario(document: Document, ref: ScenarioRef, ego_optional: bool) -> Scena
             route=route,
             vehicle=vehicle,
         ),
+        signals=signals(read.lights, problem.resampling, max(final_step, tracks.steps - 1)),
         tags=_tags(root),
         notes=(*read.notes, *notes),
     )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 from xml.etree.ElementTree import Element
@@ -14,18 +13,33 @@ from shapely.geometry import Polygon
 
 from dosplan.geometry import areas, close_seams, lanelet_polygon, lanelet_union
 from dosplan.scenario.commonroad.elements import (
-    MAX_NUMBER,
     FaultError,
     child,
     identity,
     label,
     naming,
     points,
-    quoted,
     references,
     whole,
 )
-from dosplan.types import FloatArray, Lanelet, RoadMap
+from dosplan.scenario.commonroad.regulation import (
+    LightProgram,
+    known_references,
+    read_intersections,
+    read_lights,
+    read_plates,
+    read_speed,
+)
+from dosplan.types import (
+    FloatArray,
+    Lanelet,
+    LineMarking,
+    RoadMap,
+    SignRule,
+    StopLine,
+    TrafficLight,
+    TrafficSign,
+)
 
 OPEN_END: Final = 5.0
 """Length of road that is taken to go on beyond an open end of the map, m: about a car's."""
@@ -36,27 +50,6 @@ _NO_CARS: Final = _NO_ROAD | {"busLane"}
 """Types over which no route leads. A bus lane is carriageway, so a car on it is not off the road;
 but cars may not drive along it, and many maps name neither when they may nor who else."""
 
-SPEED_LIMIT_SIGNS: Final = frozenset(
-    {"274", "R2-1", "r301", "3.24", "R15", "C43", "B14", "\N{GREEK CAPITAL LETTER RHO}-32", "B31"}
-)
-"""Signs of a largest speed, whatever the country: the German number stands in files of many."""
-ZONE_SIGN: Final = "274.1"
-"""A zone with a largest speed; 30 km/h where the sign names none, else as in ``274.1-20``."""
-_NO_LIMIT: Final = frozenset({"inf", "infinity", "+inf", "none", "unlimited", "nan"})
-_UNITS: Final = {
-    "": 1.0,
-    "m/s": 1.0,
-    "ms": 1.0,
-    "mps": 1.0,
-    "km/h": 1.0 / 3.6,
-    "kmh": 1.0 / 3.6,
-    "kph": 1.0 / 3.6,
-    "kmph": 1.0 / 3.6,
-    "mph": 0.44704,
-    "mi/h": 0.44704,
-}
-_SPEED: Final = re.compile(r"([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:e[+-]?\d+)?)\s*([a-z/]*)")
-
 
 @dataclass(frozen=True)
 class MapReading:
@@ -65,11 +58,13 @@ class MapReading:
     Attributes:
         road_map: The map.
         two_way: Ids of the lanelets that may be driven in both directions.
+        lights: The programs of its traffic lights.
         notes: What was left out or corrected, a line each.
     """
 
     road_map: RoadMap
     two_way: frozenset[int]
+    lights: tuple[LightProgram, ...]
     notes: tuple[str, ...]
 
 
@@ -154,30 +149,53 @@ def read_road_map(root: Element) -> MapReading:
         FaultError: A lanelet cannot be read, or the lanelets contradict each other.
     """
     notes: list[str] = []
-    limits = _speed_limits(root, notes)
+    plates = read_plates(root, notes)
     found: dict[int, Lanelet] = {}
     for element in root.iterfind("lanelet"):
         name = identity(element)
         if name in found:
             raise FaultError(f"names lanelet {name} twice; give one of them another id")
         with naming(label(element)):
-            found[name] = _lanelet(element, name, limits, notes)
+            found[name] = _lanelet(element, name, plates, notes)
     if circle := _goes_round(found.values()):
         raise FaultError(
             f"lanelet {circle} leads back to itself from neighbour to neighbour on the same side; "
             "correct <adjacentLeft> and <adjacentRight>"
         )
     lanelets = tuple(_linked(found).values())
+    lights = read_lights(root, notes)
     two_way = frozenset(
         identity(x) for x in root.iterfind("lanelet") if x.find("userBidirectional") is not None
     )
     drivable = lanelet_union(x for x in lanelets if x.is_road)
-    road_map = RoadMap(lanelets, drivable, open_ends(lanelets, drivable))
-    return MapReading(road_map, two_way, tuple(notes))
+    road_map = RoadMap(
+        lanelets=lanelets,
+        drivable=drivable,
+        open_ends=open_ends(lanelets, drivable),
+        signs=tuple(
+            replace(plate, lanelets=_where(lanelets, "signs", plate.id))
+            for on_post in plates.values()
+            for plate in on_post
+        ),
+        lights=tuple(
+            TrafficLight(x.id, x.direction, x.position, _where(lanelets, "lights", x.id))
+            for x in lights
+        ),
+        intersections=read_intersections(root, frozenset(found), notes),
+    )
+    return MapReading(road_map, two_way, lights, tuple(notes))
+
+
+def _where(lanelets: Iterable[Lanelet], kind: str, name: int) -> tuple[int, ...]:
+    """Ids of the lanelets that refer to a sign or a light."""
+    return tuple(lanelet.id for lanelet in lanelets if name in getattr(lanelet, kind))
 
 
 def _lanelet(
-    element: Element, name: int, limits: Mapping[str | None, float], notes: list[str]
+    element: Element,
+    name: int,
+    plates: Mapping[int, Sequence[TrafficSign]],
+    notes: list[str],
 ) -> Lanelet:
     left, right = (_bound(element, f"{side}Bound") for side in ("left", "right"))
     if len(left) != len(right):
@@ -189,22 +207,96 @@ def _lanelet(
     if (turned := _turned(left, right)) is not None:
         notes.append(f"lanelet {name}: its bounds run against each other; one was turned")
         left, right = turned
-    signs = [sign.get("ref") for sign in element.iterfind("trafficSignRef")]
-    own = [limits[sign] for sign in signs if sign in limits]
-    given = element.find("speedLimit")
-    if given is not None and (limit := _speed(given.text, f"lanelet {name}", notes)) is not None:
-        own.append(limit)
+    signs = [
+        sign
+        for sign in known_references(element, "trafficSignRef", f"lanelet {name}", notes)
+        if sign in plates
+    ]
+    limit, source = _speed_limit(element, name, [p for sign in signs for p in plates[sign]], notes)
+    line = _stop_line(element, name, left, right, notes)
     return Lanelet(
         id=name,
         left=left,
         right=right,
         successors=tuple(references(element, "successor")),
         predecessors=tuple(references(element, "predecessor")),
-        left_neighbour=_neighbour(element, "adjacentLeft"),
-        right_neighbour=_neighbour(element, "adjacentRight"),
-        speed_limit=min(own, default=None),
+        left_neighbour=_neighbour(element, "adjacentLeft", "same"),
+        right_neighbour=_neighbour(element, "adjacentRight", "same"),
+        left_opposite=_neighbour(element, "adjacentLeft", "opposite"),
+        right_opposite=_neighbour(element, "adjacentRight", "opposite"),
+        speed_limit=limit,
+        speed_limit_source=source,
         for_cars=_is_used_by(element, _CARS, _NO_CARS),
         is_road=_is_used_by(element, _ON_WHEELS, _NO_ROAD),
+        kinds=_words(element, "laneletType"),
+        users=_words(element, "userOneWay"),
+        users_both_ways=_words(element, "userBidirectional"),
+        left_marking=_marking(element.find("leftBound")),
+        right_marking=_marking(element.find("rightBound")),
+        stop_line=line,
+        lights=_together(
+            known_references(element, "trafficLightRef", f"lanelet {name}", notes),
+            line.lights if line else (),
+        ),
+        signs=_together(signs, [x for x in (line.signs if line else ()) if x in plates]),
+    )
+
+
+def _together(own: Iterable[int], more: Iterable[int]) -> tuple[int, ...]:
+    return tuple(dict.fromkeys([*own, *more]))
+
+
+def _words(element: Element, tag: str) -> frozenset[str]:
+    found = ((child.text or "").strip() for child in element.iterfind(tag))
+    return frozenset(word for word in found if word)
+
+
+def _marking(element: Element | None) -> LineMarking:
+    """What is painted along a bound or as a stop line; what no word is known for is unknown."""
+    word = "" if element is None else (element.findtext("lineMarking") or "").strip()
+    try:
+        return LineMarking(word)
+    except ValueError:
+        return LineMarking.UNKNOWN
+
+
+def _speed_limit(
+    element: Element, name: int, plates: Iterable[TrafficSign], notes: list[str]
+) -> tuple[float | None, str | None]:
+    """The lowest limit on a lanelet, m/s, and what names it; None twice where nothing does."""
+    limits = [
+        (plate.speed, f"{_SIGN_NAMES[plate.rule]} {plate.id} ({plate.code})")
+        for plate in plates
+        if plate.speed is not None and plate.rule in _SIGN_NAMES
+    ]
+    given = element.find("speedLimit")
+    if given is not None and (limit := read_speed(given.text, f"lanelet {name}", notes)):
+        limits.append((limit, "lanelet"))
+    return min(limits, default=(None, None))
+
+
+_SIGN_NAMES: Final = {SignRule.SPEED_LIMIT: "sign", SignRule.SPEED_ZONE: "zone sign"}
+
+
+def _stop_line(
+    element: Element, name: int, left: FloatArray, right: FloatArray, notes: list[str]
+) -> StopLine | None:
+    """The stop line of a lanelet; one that is given no points lies across its end."""
+    line = element.find("stopLine")
+    if line is None:
+        return None
+    ends = np.array([left[-1], right[-1]])
+    try:
+        given = points(line)
+        if len(given) >= 2:
+            ends = given[[0, -1]]
+    except FaultError as error:
+        notes.append(f"lanelet {name}: its stop line cannot be read ({error}); its end is taken")
+    return StopLine(
+        ends=ends,
+        marking=_marking(line),
+        lights=tuple(known_references(line, "trafficLightRef", f"lanelet {name}", notes)),
+        signs=tuple(known_references(line, "trafficSignRef", f"lanelet {name}", notes)),
     )
 
 
@@ -252,10 +344,10 @@ def _turned(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray
     return (left[::-1], right) if outline.exterior.is_ccw else (left, right[::-1])
 
 
-def _neighbour(element: Element, tag: str) -> int | None:
-    """Id of the adjacent lanelet on one side, where it runs in the same direction."""
+def _neighbour(element: Element, tag: str, direction: str) -> int | None:
+    """Id of the adjacent lanelet on one side, where it runs in that direction."""
     beside = element.find(tag)
-    if beside is None or beside.get("drivingDir") != "same":
+    if beside is None or beside.get("drivingDir") != direction:
         return None
     return whole(beside.get("ref"), f"the ref of <{tag}>")
 
@@ -296,14 +388,20 @@ def _linked(found: Mapping[int, Lanelet]) -> dict[int, Lanelet]:
             lanelet.left_neighbour,
             lanelet.right_neighbour,
         )
+        opposite = [
+            other if other in found else None
+            for other in (lanelet.left_opposite, lanelet.right_opposite)
+        ]
         out[name] = lanelet
-        if links != given:
+        if links != given or opposite != [lanelet.left_opposite, lanelet.right_opposite]:
             out[name] = replace(
                 lanelet,
                 successors=links[0],
                 predecessors=links[1],
                 left_neighbour=links[2],
                 right_neighbour=links[3],
+                left_opposite=opposite[0],
+                right_opposite=opposite[1],
             )
     return out
 
@@ -333,47 +431,3 @@ def _is_used_by(element: Element, who: frozenset[str], excluded: frozenset[str])
     if not users.isdisjoint(who):
         types -= {"crosswalk", "busLane"}
     return types.isdisjoint(excluded) and (not users or not users.isdisjoint(who))
-
-
-def _speed_limits(root: Element, notes: list[str]) -> dict[str | None, float]:
-    """Lowest limit, m/s, of each traffic sign that names one, by the sign's id as it is written."""
-    limits: dict[str | None, float] = {}
-    for sign in root.iterfind("trafficSign"):
-        found = [
-            limit
-            for element in sign.iterfind("trafficSignElement")
-            if (limit := _sign_limit(element, label(sign), notes)) is not None
-        ]
-        if found:
-            limits[sign.get("id")] = min(found)
-    return limits
-
-
-def _sign_limit(element: Element, name: str, notes: list[str]) -> float | None:
-    """The limit of one element of a traffic sign, m/s; None where it sets none."""
-    kind, _, variant = (element.findtext("trafficSignID") or "").strip().partition("-")
-    given = element.find("additionalValue")
-    if kind == ZONE_SIGN:
-        usual = f"{variant or 30} km/h"
-        return _speed(usual if given is None else given.text, name, notes)
-    whole_id = (element.findtext("trafficSignID") or "").strip()
-    if whole_id not in SPEED_LIMIT_SIGNS and kind not in SPEED_LIMIT_SIGNS:
-        return None
-    if given is None:
-        notes.append(f"{name}: it names no speed; no limit is taken from it")
-        return None
-    return _speed(given.text, name, notes)
-
-
-def _speed(text: str | None, name: str, notes: list[str]) -> float | None:
-    """A speed with or without its unit, m/s; without one it is in m/s, as CommonRoad defines it."""
-    plain = (text or "").strip().lower()
-    if plain in _NO_LIMIT:
-        return None
-    found = _SPEED.fullmatch(plain)
-    if found is not None and found[2] in _UNITS:
-        value = float(found[1].replace(",", ".")) * _UNITS[found[2]]
-        if 0.0 < value <= MAX_NUMBER:
-            return value
-    notes.append(f"{name}: its speed limit {quoted(text)} cannot be read; no limit is taken")
-    return None

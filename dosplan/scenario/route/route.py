@@ -15,6 +15,7 @@ from shapely.geometry import LineString, Point
 from dosplan.geometry import lanelet_polygon, wrap_angle
 from dosplan.scenario.route.corridor import Corridor
 from dosplan.scenario.route.path import BEYOND, SPACING, begun_beside, finished_path, raw_path
+from dosplan.scenario.route.stops import stops_on
 from dosplan.types import FloatArray, GoalState, Lanelet, RoadMap, Route
 from dosplan.vehicle import VehicleParameters
 
@@ -199,9 +200,10 @@ def build_route(
     path, path_heading, curvature = finished_path(raw, corridor.clearance(raw), vehicle.width)
     left, right = corridor.bounds(path, path_heading)
     outer_left, outer_right = Corridor.of_area(path, road_map).bounds(path, path_heading)
+    arclength = np.arange(len(path), dtype=np.float64) * SPACING
     return Route(
         lanelet_ids=tuple(ids),
-        arclength=np.arange(len(path), dtype=np.float64) * SPACING,
+        arclength=arclength,
         path=path,
         heading=path_heading,
         curvature=curvature,
@@ -210,6 +212,7 @@ def build_route(
         outer_left=np.maximum(outer_left, left),
         outer_right=np.minimum(outer_right, right),
         speed_limit=_speed_limits(lanes, driven, path),
+        stops=stops_on(path, arclength, ids, road_map),
     )
 
 

@@ -36,7 +36,7 @@ from dosplan.running.run import run
 from dosplan.simulation.loop import SimulationConfig
 from dosplan.simulation.loop import run_episode as simulate
 from dosplan.simulation.traffic import Traffic
-from dosplan.types import Arm, Scenario, Score
+from dosplan.types import Arm, EpisodeKey, Scenario, Score
 
 if TYPE_CHECKING:
     import pandas
@@ -66,12 +66,13 @@ class Results:
         """
         return read_summary(RunFolder(self.path))
 
-    def recording(self, scenario: str, arm: Arm | str) -> Recording:
+    def recording(self, scenario: str, arm: Arm | str, future: int = 0) -> Recording:
         """Reads what was driven, planned and predicted in an episode.
 
         Args:
             scenario: Id of the scenario.
             arm: The arm.
+            future: Which continuation of the scenario's past.
 
         Returns:
             The recording.
@@ -79,7 +80,9 @@ class Results:
         Raises:
             FileError: There is none, or it cannot be read.
         """
-        return Recording.load(RunFolder(self.path).recording(scenario, Arm(arm)))
+        return Recording.load(
+            RunFolder(self.path).recording(EpisodeKey(scenario, Arm(arm), future))
+        )
 
     def to_polars(self) -> polars.DataFrame:
         """The rows as a polars frame.

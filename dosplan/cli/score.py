@@ -55,8 +55,7 @@ class ScoreCommand:
             "not_driven": found.kept,
             "differ": [
                 {
-                    "scenario": change.scenario,
-                    "arm": change.arm,
+                    **change.key._asdict(),
                     "columns": {
                         name: {"before": before, "now": now}
                         for name, (before, now) in change.columns.items()

@@ -158,5 +158,5 @@ def _failure(folder: RunFolder, row: Score) -> Explanation:
 
 
 def _traceback(folder: RunFolder, row: Score) -> str | None:
-    path = folder.traceback(row.scenario, row.arm)
+    path = folder.traceback(row.key)
     return path.relative_to(folder.path).as_posix() if path.exists() else None

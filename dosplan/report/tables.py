@@ -60,7 +60,7 @@ def error_lines(rows: Iterable[Score]) -> list[str]:
             rows_of.setdefault(row.error, []).append(row)
     errors = sorted(rows_of.items(), key=lambda item: -len(item[1]))
     lines = [
-        f"{len(failed)} x {error} [{failed[0].scenario}, {failed[0].arm.value}]"
+        f"{len(failed)} x {error} [{failed[0].key.title}]"
         for error, failed in errors[:ERRORS_SHOWN]
     ]
     if len(errors) > ERRORS_SHOWN:

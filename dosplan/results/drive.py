@@ -253,7 +253,7 @@ def find_recording(folder: RunFolder, row: Score) -> Recording | None:
     Raises:
         FileError: The file is missing or broken.
     """
-    path = folder.recording(row.scenario, row.arm)
+    path = folder.recording(row.key)
     if row.outcome in (Outcome.PLANNER_FAILURE, Outcome.UNUSABLE) and not path.exists():
         return None
     return Recording.load(path)

@@ -4,7 +4,9 @@
 an episode that crashed is a row like any other. Rows are appended as they finish; a row that was
 cut off by a kill is dropped on reading and its episode is driven again. What each episode did is
 in ``episodes/<scenario>.<arm>.npz``; where Python raised in it, the traceback is beside that, in
-``episodes/<scenario>.<arm>.txt``. ``docs/run-folder.md`` lists the keys of each file.
+``episodes/<scenario>.<arm>.txt``. Futures of a scenario other than the first one have their number
+in the names: ``<scenario>.<arm>.future-<k>.npz``. ``docs/run-folder.md`` lists the keys of each
+file.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dosplan.system.files import file_name
-from dosplan.types import Arm, Score
+from dosplan.types import EpisodeKey, Score
 
 
 @dataclass(frozen=True)
@@ -56,29 +58,39 @@ class RunFolder:
         """``report.html``."""
         return self.path / "report.html"
 
-    def recording(self, scenario: str, arm: Arm) -> Path:
+    def recording(self, key: EpisodeKey) -> Path:
         """File of an episode.
 
         Args:
-            scenario: Id of the scenario.
-            arm: The arm.
+            key: The episode.
 
         Returns:
             Its path.
         """
-        return self.path / "episodes" / f"{file_name(scenario)}.{arm.value}.npz"
+        return self.path / "episodes" / f"{file_name(key.scenario)}.{_part(key)}.npz"
 
-    def traceback(self, scenario: str, arm: Arm) -> Path:
+    def traceback(self, key: EpisodeKey) -> Path:
         """File of the traceback of an episode in which Python raised.
 
         Args:
-            scenario: Id of the scenario.
-            arm: The arm.
+            key: The episode.
 
         Returns:
             Its path.
         """
-        return self.recording(scenario, arm).with_suffix(".txt")
+        return self.recording(key).with_suffix(".txt")
+
+    def solution(self, scenario: str, key: EpisodeKey) -> Path:
+        """File of a CommonRoad solution.
+
+        Args:
+            scenario: Id of the scenario file, which may hold several planning problems.
+            key: One of its episodes.
+
+        Returns:
+            Its path.
+        """
+        return self.path / "solutions" / f"{file_name(scenario)}.{_part(key)}.xml"
 
     def holds(self, row: Score) -> bool:
         """Whether the folder holds the episode file of a row.
@@ -89,4 +101,9 @@ class RunFolder:
         Returns:
             Whether it is there; True where no planning cycle ran, since nothing is read then.
         """
-        return row.cycle_ms_p50 is None or self.recording(row.scenario, row.arm).is_file()
+        return row.cycle_ms_p50 is None or self.recording(row.key).is_file()
+
+
+def _part(key: EpisodeKey) -> str:
+    """What a file name says after the scenario; the first future goes unnamed."""
+    return f"{key.arm.value}.future-{key.future}" if key.future else key.arm.value

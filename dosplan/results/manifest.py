@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 from dosplan.results.folder import RunFolder
 from dosplan.system.files import FileError, read_json, write_json
 from dosplan.system.provenance import Machine
 from dosplan.system.typed import plain, typed
-from dosplan.types import Arm
+from dosplan.types import Arm, EpisodeKey
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +33,7 @@ class RunSettings:
         predictor_options: Likewise of the predictor's.
         traffic_options: Likewise of the traffic's.
         arms: Arms to drive.
+        futures: Number of continuations of each scenario's past that are driven.
         workers: Number of worker processes on this machine.
         ids: Ids of the source's scenarios that are driven; none drives all.
         only: Of those, the ones with one of these texts in their id or among their tags
@@ -57,6 +59,7 @@ class RunSettings:
     predictor_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     traffic_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     arms: tuple[Arm, ...] = tuple(Arm)
+    futures: int = 1
     workers: int = 1
     ids: tuple[str, ...] = ()
     only: tuple[str, ...] = ()
@@ -83,7 +86,8 @@ class RunManifest:
         traffic: Name of the traffic.
         settings: All settings of ``planner``, ``predictor`` and ``traffic``, defaults and the
             plug-ins within them included; as options of the plug-in, they give the same one.
-        scenarios: Ids of the scenarios, in their order: with the arms, every episode of the run.
+        scenarios: Ids of the scenarios, in their order: with the arms and the futures,
+            every episode of the run.
         digests: SHA-256 of the content of the plug-ins' files, weights and scenario files; what
             tells that a run cannot be resumed since they changed.
         started: When the run began, UTC, as ISO 8601.
@@ -104,6 +108,12 @@ class RunManifest:
     versions: Mapping[str, str]
     git_revision: str | None = None
     machine: Machine | None = None
+
+    @property
+    def episodes(self) -> tuple[EpisodeKey, ...]:
+        """Every episode of the run, in the order of its rows."""
+        parts = (self.scenarios, self.config.arms, range(self.config.futures))
+        return tuple(EpisodeKey(*part) for part in product(*parts))
 
 
 def write_manifest(folder: RunFolder, manifest: RunManifest) -> None:

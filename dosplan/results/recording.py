@@ -87,6 +87,7 @@ class Recording:
         exact: Whether times and slacks are kept exactly; in files of older versions they are in
             single precision.
         signals: The traffic lights as they were; None where that is as recorded.
+        future: Which continuation of the scenario's past was driven; 0 where there is one.
 
     Raises:
         ValueError: Arrays do not fit each other, or what is no number is where one has to be.
@@ -119,6 +120,7 @@ class Recording:
     set_angles: FloatArray
     exact: bool = True
     signals: Signals | None = None
+    future: int = 0
 
     def __post_init__(self) -> None:
         steps, cycles = len(self.inputs), len(self.cycle_steps)
@@ -214,6 +216,7 @@ class Recording:
             states=episode.states,
             inputs=episode.inputs,
             traffic=episode.traffic,
+            future=episode.future,
             tracks=None if episode.tracks is scenario.tracks else episode.tracks,
             end=episode.end,
             error=episode.error,

@@ -28,7 +28,7 @@ from dosplan.scenario.sources.catalogue import Source
 from dosplan.scoring.score import score_driven
 from dosplan.system.errors import one_line
 from dosplan.system.files import FileError, write_text
-from dosplan.types import Arm, Scenario, Score
+from dosplan.types import EpisodeKey, Scenario, Score
 
 _INEXACT: Final = ("cycle_ms_p50", "cycle_ms_p99")
 _INEXACT_MEASURES: Final = ("max_slack", "slack_cycles", "max_road_slack")
@@ -39,13 +39,11 @@ class RowChange:
     """A row that came out differently.
 
     Attributes:
-        scenario: Id of the scenario.
-        arm: The arm.
+        key: Which episode it is of.
         columns: Value before and now of each column that differs.
     """
 
-    scenario: str
-    arm: Arm
+    key: EpisodeKey
     columns: Mapping[str, tuple[Any, Any]]
 
 
@@ -139,7 +137,7 @@ def _scored(row: Score, recording: Recording, scenario: Scenario) -> Score:
         found = score_driven(scenario, recording, drive.tracks)
     except (ValueError, KeyError) as error:  # Raised for the plans of a damaged file.
         raise FileError(
-            f"the episode file of {row.scenario}, {row.arm}, cannot be scored: {one_line(error)}"
+            f"the episode file of {row.key.title}, cannot be scored: {one_line(error)}"
         ) from error
     if recording.exact:
         return found
@@ -155,7 +153,7 @@ def _change(before: Score, now: Score) -> RowChange:
         for name in {**old, **new}
         if old.get(name) != new.get(name)
     }
-    return RowChange(now.scenario, now.arm, columns)
+    return RowChange(now.key, columns)
 
 
 def change_lines(changes: Sequence[RowChange]) -> list[str]:
@@ -168,7 +166,7 @@ def change_lines(changes: Sequence[RowChange]) -> list[str]:
         A line for each row and column.
     """
     return [
-        f"{change.scenario}, {change.arm}: {name} was {before}, is {now}"
+        f"{change.key.title}: {name} was {before}, is {now}"
         for change in changes
         for name, (before, now) in change.columns.items()
     ]

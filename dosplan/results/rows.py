@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import field, make_dataclass
-from itertools import product
 from pathlib import Path
 from typing import IO, Any, Final, get_type_hints
 
@@ -16,7 +15,7 @@ from dosplan.system.files import FileError, atomic_file, parse_json
 from dosplan.system.typed import plain, typed
 from dosplan.types import Score
 
-LATER: Final = ("traffic",)
+LATER: Final = ("traffic", "future")
 """Columns that rows of earlier versions lack; there they have the default of ``Score``."""
 
 _COLUMNS: Final = {name: kind for name, kind in get_type_hints(Score).items() if name != "measures"}
@@ -112,8 +111,8 @@ def read_run(path: Path) -> tuple[RunManifest, list[Score]]:
     folder = RunFolder(path)
     manifest = read_manifest(folder)
     rows = read_rows(folder.rows)
-    wanted = set(product(manifest.scenarios, manifest.config.arms))
-    held = {(row.scenario, row.arm) for row in rows}
+    wanted = set(manifest.episodes)
+    held = {row.key for row in rows}
     if missing := len(wanted - held):
         raise FileError(f"{path} lacks {missing} episodes: run the same command again to resume it")
     if len(rows) > len(wanted):

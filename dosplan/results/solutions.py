@@ -8,25 +8,27 @@ was driven is missing there.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from datetime import UTC, datetime
+from itertools import product
 from pathlib import Path
 
 from dosplan.results.folder import RunFolder
+from dosplan.results.manifest import RunManifest
 from dosplan.results.recording import Recording
 from dosplan.scenario import ScenarioRef
 from dosplan.scenario.commonroad.solution import Trajectory, solution_xml
-from dosplan.system.files import file_name, write_bytes
-from dosplan.types import Arm
+from dosplan.system.files import write_bytes
+from dosplan.types import EpisodeKey
 
 
-def write_solutions(folder: RunFolder, refs: Iterable[ScenarioRef], arms: Sequence[Arm]) -> None:
-    """Writes a solution for each scenario file and arm of which an episode was driven.
+def write_solutions(folder: RunFolder, refs: Iterable[ScenarioRef], manifest: RunManifest) -> None:
+    """Writes a solution for each scenario file, arm and future of which an episode was driven.
 
     Args:
         folder: The run folder, with its episode files.
         refs: The scenarios of the run.
-        arms: Its arms.
+        manifest: Its ``run.json``.
 
     Raises:
         FileError: An episode file cannot be read, or a solution cannot be written.
@@ -35,15 +37,16 @@ def write_solutions(folder: RunFolder, refs: Iterable[ScenarioRef], arms: Sequen
     by_file: defaultdict[Path, list[ScenarioRef]] = defaultdict(list)
     for ref in refs:
         by_file[ref.path].append(ref)
+    episodes = list(product(manifest.config.arms, range(manifest.config.futures)))
     for path, problems in by_file.items():
-        name = file_name(problems[0].scenario)
-        for arm in arms:
-            files = {ref.problem_id: folder.recording(ref.id, arm) for ref in problems}
+        for arm, future in episodes:
+            keys = {ref.problem_id: EpisodeKey(ref.id, arm, future) for ref in problems}
+            files = {problem: folder.recording(key) for problem, key in keys.items()}
             driven = {problem: file for problem, file in files.items() if file.is_file()}
             if driven:
                 drives = {problem: _drive(file) for problem, file in driven.items()}
                 date = max(_written(file) for file in driven.values())
-                place = folder.path / "solutions" / f"{name}.{arm.value}.xml"
+                place = folder.solution(problems[0].scenario, next(iter(keys.values())))
                 write_bytes(place, solution_xml(path, drives, date))
 
 

@@ -243,7 +243,7 @@ def pooled_cycle_ms(folder: RunFolder, rows: Iterable[Score], arm: Arm) -> Float
         FileError: The file of an episode that has cycles is missing or broken.
     """
     times = [
-        load_cycle_ms(folder.recording(row.scenario, arm))
+        load_cycle_ms(folder.recording(row.key))
         for row in rows
         if row.arm is arm and row.cycle_ms_p50 is not None
     ]

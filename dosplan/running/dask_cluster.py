@@ -30,14 +30,13 @@ from dosplan.plugins.registry import (
     target,
 )
 from dosplan.running.config import RunConfig, RunError
-from dosplan.running.executor import Results, Task, Verdicts, Workers, parted
-from dosplan.running.job import EpisodeResult, unreadable
+from dosplan.running.executor import Results, Verdicts, Workers, parted
+from dosplan.running.job import EpisodeResult, Task, unreadable
 from dosplan.running.process import EpisodeProcesses
 from dosplan.scenario import ScenarioRef
 from dosplan.scoring.score import failed_score
 from dosplan.system.errors import one_line
 from dosplan.system.workers import WORKER_ENVIRONMENT
-from dosplan.types import Arm
 
 try:
     import dask
@@ -120,12 +119,9 @@ class _Cluster:
 
     def drive(self, tasks: Iterable[Task]) -> Results:
         def submit(task: Task) -> Any:
-            ref, arm = task
-            return self._submit(_drive, _absolute(ref), arm)
+            return self._submit(_drive, task._replace(ref=_absolute(task.ref)))
 
-        return self._all(
-            submit, tasks, lambda task: EpisodeResult(failed_score(task[0].id, task[1], _DIED))
-        )
+        return self._all(submit, tasks, lambda task: EpisodeResult(failed_score(task.key, _DIED)))
 
     def _submit(self, call: Callable[..., Any], *arguments: Any) -> Any:
         return self.client.submit(
@@ -208,9 +204,9 @@ class _Run:
 _RUN: Final = _Run()
 
 
-def _drive(ref: ScenarioRef, arm: Arm, config: RunConfig, version: str) -> EpisodeResult:
+def _drive(task: Task, config: RunConfig, version: str) -> EpisodeResult:
     """Drives an episode; runs in a thread of a Dask worker."""
-    return _processes(config, version).drive(ref, arm)
+    return _processes(config, version).drive(task)
 
 
 def _check(refs: Sequence[ScenarioRef], config: RunConfig, version: str) -> list[str | None]:

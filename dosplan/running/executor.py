@@ -13,16 +13,14 @@ from itertools import islice
 from typing import Final, Protocol, TypeVar
 
 from dosplan.running.config import RunConfig
-from dosplan.running.job import EpisodeResult, Session
+from dosplan.running.job import EpisodeResult, Session, Task
 from dosplan.running.process import EpisodeProcesses
 from dosplan.scenario import ScenarioRef
 from dosplan.system.workers import WORKER_ENVIRONMENT, environment
-from dosplan.types import Arm
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-Task = tuple[ScenarioRef, Arm]
 Results = Generator[tuple[Task, EpisodeResult], None, None]
 Verdicts = Generator[tuple[ScenarioRef, str | None], None, None]
 
@@ -134,8 +132,8 @@ class _ThisProcess:
             yield ref, self.session.check(ref)
 
     def drive(self, tasks: Iterable[Task]) -> Results:
-        for ref, arm in tasks:
-            yield (ref, arm), self.session.drive(ref, arm)
+        for task in tasks:
+            yield task, self.session.drive(task)
 
 
 @dataclass(frozen=True)
@@ -175,7 +173,7 @@ class _Processes:
             yield from zip(part, found, strict=True)
 
     def drive(self, tasks: Iterable[Task]) -> Results:
-        return self._all(lambda task: self.processes.drive(*task), tasks)
+        return self._all(self.processes.drive, tasks)
 
     def _all(
         self, call: Callable[[_Item], _Result], items: Iterable[_Item]

@@ -14,6 +14,7 @@ from __future__ import annotations
 import traceback
 from bdb import BdbQuit
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from dosplan.api import OraclePredictor, Planner, Predictor
 from dosplan.plugins.registry import create_planner, create_predictor, create_traffic
@@ -27,7 +28,26 @@ from dosplan.simulation.loop import SimulationConfig, run_episode
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import one_line
 from dosplan.system.workers import seed_globals
-from dosplan.types import Arm, EpisodeEnd, Score
+from dosplan.types import Arm, EpisodeEnd, EpisodeKey, Score
+
+
+class Task(NamedTuple):
+    """An episode that is to be driven.
+
+    Attributes:
+        ref: The scenario.
+        arm: The arm.
+        future: Which continuation of the scenario's past.
+    """
+
+    ref: ScenarioRef
+    arm: Arm
+    future: int = 0
+
+    @property
+    def key(self) -> EpisodeKey:
+        """Which episode of the run it is."""
+        return EpisodeKey(self.ref.id, self.arm, self.future)
 
 
 @dataclass(frozen=True)
@@ -77,12 +97,11 @@ class Session:
             return unreadable(ref, one_line(error))
         return None if found is None else str(ScenarioError(ref.path, found))
 
-    def drive(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+    def drive(self, task: Task) -> EpisodeResult:
         """Drives, scores and records one episode.
 
         Args:
-            ref: The scenario.
-            arm: The arm.
+            task: The episode.
 
         Returns:
             Its row and files. Whatever a plug-in or a scenario file raises becomes a row, too.
@@ -98,16 +117,18 @@ class Session:
             seed_globals(config.seed)
             planner, predictor, traffic = plugins = plugins or make_plugins(config)
             seed_globals(config.seed)
-            scenario = load_scenario(ref, cached=config.cache)
+            scenario = load_scenario(task.ref, cached=config.cache)
             loop = SimulationConfig(replan_every=config.replan_every)
-            episode = run_episode(scenario, planner, predictor, arm, loop, traffic, raised.append)
+            episode = run_episode(
+                scenario, planner, predictor, task.arm, loop, traffic, raised.append
+            )
             done = Drive.of(scenario, episode)
             # A value that is not a number fails here, not when the runner appends the row.
             row_line(done.row)
             recording = done.recording.pack()
         except (Exception, SystemExit) as error:
             self._end_if_quit(error)
-            return failed_result(ref, arm, error)
+            return failed_result(task.key, error)
         for failure in raised:
             self._end_if_quit(failure)
         if episode.end is not EpisodeEnd.PLANNER_FAILURE:
@@ -136,18 +157,17 @@ def unreadable(ref: ScenarioRef, what: str) -> str:
     return str(ScenarioError(ref.path, f"cannot be read ({what}); leave it out"))
 
 
-def failed_result(ref: ScenarioRef, arm: Arm, error: BaseException) -> EpisodeResult:
+def failed_result(key: EpisodeKey, error: BaseException) -> EpisodeResult:
     """The result of an episode that an exception has ended.
 
     Args:
-        ref: The scenario.
-        arm: The arm.
+        key: The episode.
         error: What was raised.
 
     Returns:
         A failed row and the traceback.
     """
-    return EpisodeResult(failed_score(ref.id, arm, one_line(error)), traceback=_text(error))
+    return EpisodeResult(failed_score(key, one_line(error)), traceback=_text(error))
 
 
 def make_plugins(config: RunConfig) -> tuple[Planner, Predictor, Traffic]:

@@ -25,12 +25,11 @@ import psutil
 from pebble import ProcessExpired, ProcessPool
 
 from dosplan.running.config import RunConfig, RunError
-from dosplan.running.job import EpisodeResult, Session, failed_result, unreadable
+from dosplan.running.job import EpisodeResult, Session, Task, failed_result, unreadable
 from dosplan.scenario import ScenarioRef
 from dosplan.scoring.score import failed_score
 from dosplan.system.errors import one_line
 from dosplan.system.workers import cause_of_death, end_worker, prepare_worker, started_by
-from dosplan.types import Arm
 
 _T = TypeVar("_T")
 
@@ -63,12 +62,11 @@ class EpisodeProcess:
         self._pid: Any = None
         self._stopping = Event()
 
-    def drive(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+    def drive(self, task: Task) -> EpisodeResult:
         """Drives one episode; blocks.
 
         Args:
-            ref: The scenario.
-            arm: The arm.
+            task: The episode.
 
         Returns:
             The episode's result, or a failed row that says how the process ended.
@@ -78,7 +76,7 @@ class EpisodeProcess:
             CancelledError: ``stop`` was called.
         """
         return self._tried(
-            _drive, (ref, arm), lambda reason: EpisodeResult(failed_score(ref.id, arm, reason))
+            _drive, (task,), lambda reason: EpisodeResult(failed_score(task.key, reason))
         )
 
     def check(self, refs: Sequence[ScenarioRef]) -> list[str | None]:
@@ -216,12 +214,11 @@ class EpisodeProcesses:
         self._busy: list[EpisodeProcess] = []
         self._retired = self._stopped = False
 
-    def drive(self, ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+    def drive(self, task: Task) -> EpisodeResult:
         """Drives one episode in a process that is idle, or in a new one; blocks.
 
         Args:
-            ref: The scenario.
-            arm: The arm.
+            task: The episode.
 
         Returns:
             As ``EpisodeProcess.drive`` returns it.
@@ -231,7 +228,7 @@ class EpisodeProcesses:
             CancelledError: ``stop`` was called.
         """
         with self._lent() as process:
-            return process.drive(ref, arm)
+            return process.drive(task)
 
     def check(self, refs: Sequence[ScenarioRef]) -> list[str | None]:
         """Tells which scenarios can be driven, likewise; blocks.
@@ -297,11 +294,11 @@ def _prepare(pid: Any, config: RunConfig) -> None:
     pid.value = os.getpid()
 
 
-def _drive(ref: ScenarioRef, arm: Arm) -> EpisodeResult:
+def _drive(task: Task) -> EpisodeResult:
     try:
-        return _Worker.session.drive(ref, arm)
+        return _Worker.session.drive(task)
     except BaseException as error:  # KeyboardInterrupt: here only a plug-in raises it.
-        return failed_result(ref, arm, error)
+        return failed_result(task.key, error)
 
 
 def _check(refs: Sequence[ScenarioRef]) -> list[str | None]:

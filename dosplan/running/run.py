@@ -1,13 +1,14 @@
 """Drives many episodes; whatever happens, every episode becomes a row.
 
-An episode is one scenario in one arm. An ``Executor`` drives it; the run loop hands out the
-episodes that have no row yet and is the only one that writes what comes back: first the files
-of an episode, then its row, so that a row always has its files. A run that was killed at any
+An episode is one scenario in one arm with one future. An ``Executor`` drives it; the run loop hands
+out the episodes that have no row yet and is the only one that writes what comes back: first the
+files of an episode, then its row, so that a row always has its files. A run that was killed at any
 moment is resumed by the same command. One that names more scenarios adds them to the run and drives
 what is missing. The rows end up in the order of the manifest.
 
 Before the first episode every scenario is read and checked, where it would be driven. One that
-nobody could drive has its rows at once, of the outcome ``unusable`` in every arm.
+nobody could drive has its rows at once, of the outcome ``unusable``, in every arm
+and future.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ from dosplan.results.solutions import write_solutions
 from dosplan.results.summary import summarise_run, write_summary
 from dosplan.results.unusable import unusable_scenarios
 from dosplan.running.config import FREE, SELECTION, RunConfig, RunError
-from dosplan.running.executor import Executor, LocalExecutor, Results, Task, Workers
-from dosplan.running.job import EpisodeResult, make_plugins
+from dosplan.running.executor import Executor, LocalExecutor, Results, Workers
+from dosplan.running.job import EpisodeResult, Task, make_plugins
 from dosplan.running.progress import Observer
 from dosplan.scenario import ScenarioRef, find_scenarios
 from dosplan.scenario.sources.catalogue import find_ids
@@ -88,25 +89,25 @@ def run(
     folder = RunFolder(config.out)
     wanted = _manifest(config, refs)
     _open_folder(folder, wanted, refs)
-    tasks = list(product(refs, config.arms))
+    tasks = [Task(*part) for part in product(refs, config.arms, range(config.futures))]
     with _held(folder):
         manifest = _extended(folder, wanted, refs)
         kept, left = _unfinished(folder, tasks)
-        observer.begin(dict.fromkeys(config.arms, len(refs)), kept)
+        observer.begin(dict.fromkeys(config.arms, len(refs) * config.futures), kept)
         if left:
             with (executor or _executor(config)).start(config) as workers:
                 left = _check(folder, manifest.traffic, workers, kept, left, observer)
                 _drive(folder, manifest.traffic, workers.drive(left), observer)
         else:
             observer.checked((), unusable_scenarios(kept))
-        by_task = {(row.scenario, row.arm): row for row in read_rows(folder.rows)}
-        rows = [by_task[ref.id, arm] for ref, arm in tasks]
+        by_key = {row.key: row for row in read_rows(folder.rows)}
+        rows = [by_key[task.key] for task in tasks]
         write_rows(folder.rows, rows)
         summary = summarise_run(folder, manifest, rows)
         write_summary(folder, summary)
         write_text(folder.summary_text, summary_markdown(summary))
         if config.solutions:
-            write_solutions(folder, refs, config.arms)
+            write_solutions(folder, refs, manifest)
     return folder
 
 
@@ -135,14 +136,11 @@ def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> tuple[list[Score], 
     """
     for place in (folder.path, *(folder.path / name for name in _PARTS)):
         remove_half_written(place)
-    wanted = {(ref.id, arm) for ref, arm in tasks}
-    kept = {
-        key: row
-        for row in read_rows(folder.rows)
-        if (key := (row.scenario, row.arm)) in wanted and folder.holds(row)
-    }
+    wanted = {task.key for task in tasks}
+    rows = read_rows(folder.rows)
+    kept = {row.key: row for row in rows if row.key in wanted and folder.holds(row)}
     write_rows(folder.rows, kept.values())
-    left = [(ref, arm) for ref, arm in tasks if (ref.id, arm) not in kept]
+    left = [task for task in tasks if task.key not in kept]
     return list(kept.values()), left
 
 
@@ -154,7 +152,7 @@ def _check(
     left: Sequence[Task],
     observer: Observer,
 ) -> list[Task]:
-    """Has scenarios checked that have no row in any arm, and writes rows of the unusable ones.
+    """Has scenarios checked that have no row yet, and writes rows of the unusable ones.
 
     Returns:
         What is to be driven.
@@ -162,7 +160,7 @@ def _check(
     # A row says what was found when the run began, so that the arms agree whatever happens.
     reasons = {row.scenario: row.error or "" for row in kept if row.outcome is Outcome.UNUSABLE}
     known = {row.scenario for row in kept}
-    refs = list({ref.id: ref for ref, _ in left if ref.id not in known}.values())
+    refs = list({ref.id: ref for ref, *_ in left if ref.id not in known}.values())
     observer.checking(0, len(refs))
     with closing(workers.check(refs)) as verdicts:
         for done, (ref, reason) in enumerate(verdicts, start=1):
@@ -170,16 +168,16 @@ def _check(
                 reasons[ref.id] = reason
             observer.checking(done, len(refs))
     rows = [
-        replace(unusable_score(ref.id, arm, reasons[ref.id]), traffic=traffic)
-        for ref, arm in left
-        if ref.id in reasons
+        replace(unusable_score(task.key, reasons[task.ref.id]), traffic=traffic)
+        for task in left
+        if task.ref.id in reasons
     ]
     with folder.rows.open("ab", buffering=0) as file:
         for row in rows:
             _write_files(folder, EpisodeResult(row))
             append_row(file, row)
     observer.checked(rows, unusable_scenarios((*kept, *rows)))
-    return [(ref, arm) for ref, arm in left if ref.id not in reasons]
+    return [task for task in left if task.ref.id not in reasons]
 
 
 def _drive(folder: RunFolder, traffic: str, results: Results, observer: Observer) -> None:
@@ -193,14 +191,13 @@ def _drive(folder: RunFolder, traffic: str, results: Results, observer: Observer
 
 
 def _write_files(folder: RunFolder, result: EpisodeResult) -> None:
-    scenario, arm = result.row.scenario, result.row.arm
-    recording = folder.recording(scenario, arm)
+    recording = folder.recording(result.row.key)
     if result.recording is not None:
         write_bytes(recording, result.recording)
     else:  # Nor one of an attempt that was killed before its row was written.
         recording.unlink(missing_ok=True)
     if result.traceback is not None:
-        write_text(folder.traceback(scenario, arm), result.traceback)
+        write_text(folder.traceback(result.row.key), result.traceback)
 
 
 @contextmanager

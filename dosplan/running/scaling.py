@@ -21,7 +21,7 @@ import psutil
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import load_cycle_ms
 from dosplan.results.rows import append_row, read_rows
-from dosplan.running.job import Session
+from dosplan.running.job import Session, Task
 from dosplan.running.process import EpisodeProcess
 from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunConfig, run
@@ -29,7 +29,7 @@ from dosplan.scenario import find_scenarios
 from dosplan.system.files import write_bytes
 from dosplan.system.provenance import content_digest, describe_environment
 from dosplan.system.workers import WORKER_ENVIRONMENT, environment
-from dosplan.types import Arm
+from dosplan.types import Arm, EpisodeKey
 
 MILLION: Final = 1_000_000
 _WRITES: Final = 200
@@ -131,7 +131,7 @@ def _measure_start(config: RunConfig) -> dict[str, float]:
         with environment(WORKER_ENVIRONMENT):
             for _ in range(2):
                 started = time.perf_counter()
-                process.drive(ref, Arm.WITHOUT_DOS)
+                process.drive(Task(ref, Arm.WITHOUT_DOS))
                 seconds.append(time.perf_counter() - started)
     finally:
         process.close()
@@ -164,19 +164,21 @@ def _measure_parts(config: RunConfig, place: Path) -> dict[str, float]:
     listed = time.perf_counter()
     content_digest(ref.path for ref in refs)
     digested = time.perf_counter()
-    result = Session(config).drive(refs[0], Arm.WITHOUT_DOS)
+    result = Session(config).drive(Task(refs[0], Arm.WITHOUT_DOS))
     folder = RunFolder(place / "written")
     folder.path.mkdir()
     seconds = []
     with folder.rows.open("ab", buffering=0) as file:
         for i in range(_WRITES):
             began = time.perf_counter()
-            write_bytes(folder.recording(f"{i}", Arm.WITHOUT_DOS), result.recording or b"")
+            write_bytes(
+                folder.recording(EpisodeKey(f"{i}", Arm.WITHOUT_DOS)), result.recording or b""
+            )
             append_row(file, result.row)
             seconds.append(time.perf_counter() - began)
     read = time.perf_counter()
     for i in range(_WRITES):
-        load_cycle_ms(folder.recording(f"{i}", Arm.WITHOUT_DOS))
+        load_cycle_ms(folder.recording(EpisodeKey(f"{i}", Arm.WITHOUT_DOS)))
     summarised = time.perf_counter() - read
     return {
         "list_ms_per_scenario": 1e3 * (listed - started) / len(refs),

@@ -72,11 +72,11 @@ from dosplan.types import (
     EGO_VELOCITY,
     USER_HEADING,
     USER_VELOCITY,
-    Arm,
     CollisionClass,
     DrivenEpisode,
     Episode,
     EpisodeEnd,
+    EpisodeKey,
     FloatArray,
     IntArray,
     Outcome,
@@ -184,36 +184,35 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         fallback_cycles=sum(report.fallback is not None for report in part.reports),
         error=episode.error if outcome is Outcome.PLANNER_FAILURE else None,
         traffic=episode.traffic,
+        future=episode.future,
         measures=measured(part),
     )
 
 
-def failed_score(scenario_id: str, arm: Arm, error: str) -> Score:
+def failed_score(key: EpisodeKey, error: str) -> Score:
     """The row of an episode that was not driven, for instance as its worker crashed.
 
     Args:
-        scenario_id: Id of the scenario.
-        arm: The arm.
+        key: The episode.
         error: What went wrong.
 
     Returns:
         A planner failure without a step.
     """
-    return _not_driven(scenario_id, arm, Outcome.PLANNER_FAILURE, error)
+    return _not_driven(key, Outcome.PLANNER_FAILURE, error)
 
 
-def unusable_score(scenario_id: str, arm: Arm, reason: str) -> Score:
+def unusable_score(key: EpisodeKey, reason: str) -> Score:
     """The row of a scenario that nobody could drive.
 
     Args:
-        scenario_id: Id of the scenario.
-        arm: The arm.
+        key: The episode.
         reason: The file, and what is wrong with it.
 
     Returns:
         A row without a step, which takes part in no figure.
     """
-    return _not_driven(scenario_id, arm, Outcome.UNUSABLE, reason)
+    return _not_driven(key, Outcome.UNUSABLE, reason)
 
 
 def min_time_to_collision(
@@ -257,9 +256,9 @@ def min_time_to_collision(
     return smallest if smallest < COLLISION_HORIZON else None
 
 
-def _not_driven(scenario_id: str, arm: Arm, outcome: Outcome, error: str) -> Score:
+def _not_driven(key: EpisodeKey, outcome: Outcome, error: str) -> Score:
     measures = dict.fromkeys(measured_kinds())
-    return Score(scenario=scenario_id, arm=arm, outcome=outcome, error=error, measures=measures)
+    return Score(**key._asdict(), outcome=outcome, error=error, measures=measures)
 
 
 def _goal_step(task: PlanningTask, states: FloatArray, start: int) -> int | None:

@@ -32,7 +32,7 @@ from dosplan.types.arrays import (
     IntArray,
     ShapeError,
 )
-from dosplan.types.episode import Arm, DrivenEpisode, Episode, EpisodeEnd
+from dosplan.types.episode import Arm, DrivenEpisode, Episode, EpisodeEnd, EpisodeKey
 from dosplan.types.lights import COLOURS, LightColour, LightStates, Signals
 from dosplan.types.planning import (
     HISTORY_STEPS,
@@ -88,6 +88,7 @@ __all__ = [
     "DrivenEpisode",
     "Episode",
     "EpisodeEnd",
+    "EpisodeKey",
     "FloatArray",
     "GoalState",
     "Incoming",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,6 +20,26 @@ class Arm(StrEnum):
 
     WITH_DOS = "with_dos"
     WITHOUT_DOS = "without_dos"
+
+
+class EpisodeKey(NamedTuple):
+    """Which episode of a run.
+
+    Attributes:
+        scenario: Id of the scenario.
+        arm: The arm.
+        future: Which continuation of the scenario's past; 0 where there is one.
+    """
+
+    scenario: str
+    arm: Arm
+    future: int = 0
+
+    @property
+    def title(self) -> str:
+        """The episode in words; a future that is not the first is named."""
+        future = f", future {self.future}" if self.future else ""
+        return f"{self.scenario}, {self.arm}{future}"
 
 
 class EpisodeEnd(StrEnum):
@@ -50,6 +70,7 @@ class Episode:
         error: What went wrong, where ``end`` is ``PLANNER_FAILURE``.
         traffic: Name of the traffic.
         signals: The traffic lights as they were; None where that is as recorded.
+        future: Which continuation of the scenario's past was driven.
     """
 
     scenario_id: str
@@ -67,6 +88,7 @@ class Episode:
     error: str | None = None
     traffic: str = "replay"
     signals: Signals | None = None
+    future: int = 0
 
     def __post_init__(self) -> None:
         frozen(self, "inputs", np.float64, (None, 2), finite=True)
@@ -107,6 +129,10 @@ class DrivenEpisode(Protocol):
     @property
     def signals(self) -> Signals | None:
         """The traffic lights as they were; None where that is as recorded."""
+
+    @property
+    def future(self) -> int:
+        """Which continuation of the scenario's past was driven."""
 
     @property
     def start_step(self) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
-from dosplan.types.episode import Arm
+from dosplan.types.episode import Arm, EpisodeKey
 
 Measure = float | int | bool | None
 """Value of a metric in one episode; None where the episode has none."""
@@ -70,6 +70,7 @@ class Score:
         error: What went wrong in a planner failure, or why the scenario is unusable: its file and
             the reason; None otherwise.
         traffic: Name of the traffic; ``replay`` in rows of versions without it.
+        future: Which continuation of the scenario's past was driven; 0 where there is one.
         measures: Values of the metrics that are measured on the episode, by name
             (``dosplan.scoring.metrics``); None too where a row of an earlier version lacks one.
     """
@@ -97,7 +98,13 @@ class Score:
     fallback_cycles: int = 0
     error: str | None = None
     traffic: str = "replay"
+    future: int = 0
     measures: Mapping[str, Measure] = field(default_factory=dict)
+
+    @property
+    def key(self) -> EpisodeKey:
+        """Which episode of the run it is of."""
+        return EpisodeKey(self.scenario, self.arm, self.future)
 
     def columns(self) -> dict[str, Any]:
         """The row as it is written: its fields, with ``measures`` flattened into it."""

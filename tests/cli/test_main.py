@@ -24,7 +24,7 @@ from dosplan.results.rows import read_rows
 from dosplan.running.run import RunConfig
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import read_json
-from dosplan.types import Arm
+from dosplan.types import Arm, EpisodeKey
 from tests.support.plugins import PLUGINS
 from tests.support.runs import write_followed, write_reached_and_missed
 
@@ -194,7 +194,7 @@ def test_sets_are_driven_around_any_predictor(tmp_path: Path) -> None:
     rows = read_rows(run.rows)
     assert len(rows) == 4
     for row in (row for row in rows if row.arm is Arm.WITH_DOS):
-        recording = Recording.load(run.recording(row.scenario, row.arm))
+        recording = Recording.load(run.recording(row.key))
         # The car ahead is at 60 m and drives on at 5 m/s; its sets have an extent.
         ahead = 60.0 + 0.5 * recording.set_offsets
         np.testing.assert_allclose(recording.set_centres[0, :, 0], ahead, atol=0.01)
@@ -206,9 +206,9 @@ def test_sets_are_driven_around_any_predictor(tmp_path: Path) -> None:
 
 
 def test_each_distinct_error_is_told_once_the_most_frequent_first() -> None:
-    rows = [failed_score(f"s{i}", Arm.WITH_DOS, "ab"[i > 0]) for i in range(3)]
+    rows = [failed_score(EpisodeKey(f"s{i}", Arm.WITH_DOS), "ab"[i > 0]) for i in range(3)]
     assert error_lines(rows) == ["2 x b [s1, with_dos]", "1 x a [s0, with_dos]"]
-    rows = [failed_score("s", Arm.WITH_DOS, str(i)) for i in range(ERRORS_SHOWN + 2)]
+    rows = [failed_score(EpisodeKey("s", Arm.WITH_DOS), str(i)) for i in range(ERRORS_SHOWN + 2)]
     assert len(error_lines(rows)) == ERRORS_SHOWN + 1
     assert error_lines(rows)[-1] == "and 2 further errors; the rows hold them all"
 

@@ -37,6 +37,7 @@ from dosplan.types import (
     USER_X,
     Arm,
     CollisionClass,
+    EpisodeKey,
     GoalState,
     Observation,
     Occupancy,
@@ -513,7 +514,7 @@ def test_telemetry_reaches_the_row_over_the_drive_alone() -> None:
 
 
 def test_rows_of_earlier_versions_are_read(tmp_path: Path) -> None:
-    failed = failed_score("s", Arm.WITH_DOS, "")
+    failed = failed_score(EpisodeKey("s", Arm.WITH_DOS), "")
     row = json.loads(row_line(failed))
     for name in measured_kinds():
         assert row.pop(name) is None
@@ -602,7 +603,9 @@ def test_an_episode_that_never_began_needs_no_scenario(
 ) -> None:
     copy = RunFolder(tmp_path)
     copy.manifest.write_bytes(folder.manifest.read_bytes())
-    copy.rows.write_text(row_line(failed_score("ZAM_Test-0_1_T-1", Arm.WITH_DOS, "it hung")))
+    copy.rows.write_text(
+        row_line(failed_score(EpisodeKey("ZAM_Test-0_1_T-1", Arm.WITH_DOS), "it hung"))
+    )
     asked = ["explain", str(tmp_path), "ZAM_Test-0_1_T-1", "--source", "nowhere"]
     assert main(asked) == OK
     shown = capsys.readouterr().out.splitlines()

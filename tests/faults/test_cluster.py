@@ -21,6 +21,7 @@ pytest.importorskip("distributed", reason="Dask is an optional dependency")
 from dosplan import __version__
 from dosplan.cli.main import main
 from dosplan.running import dask_cluster as cluster
+from dosplan.running.job import Task
 from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunError, run
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
@@ -226,7 +227,7 @@ def test_a_worker_that_would_give_other_rows_or_cannot_isolate_is_refused(
 ) -> None:
     ref, config = find_scenarios(scenes)[0], configured(tmp_path, scenes)
     with pytest.raises(RunError, match=r"has dosplan .* and the runner 0\.0"):
-        cluster._drive(ref, Arm.WITH_DOS, config, "0.0")
+        cluster._drive(Task(ref, Arm.WITH_DOS), config, "0.0")
     monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
     with pytest.raises(RunError, match=r"are daemons.*--no-nanny"):
-        cluster._drive(ref, Arm.WITH_DOS, config, __version__)
+        cluster._drive(Task(ref, Arm.WITH_DOS), config, __version__)

@@ -13,6 +13,7 @@ import pytest
 
 from dosplan.results.rows import read_rows
 from dosplan.running import process
+from dosplan.running.job import Task
 from dosplan.running.process import EpisodeProcess
 from dosplan.running.run import RunError, run
 from dosplan.scenario import find_scenarios
@@ -74,7 +75,7 @@ def driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> EpisodeProcess:
 
 def _outcome(driver: EpisodeProcess, tmp_path: Path) -> Outcome:
     (ref,) = find_scenarios(tmp_path / "scenes")
-    return driver.drive(ref, Arm.WITH_DOS).row.outcome
+    return driver.drive(Task(ref, Arm.WITH_DOS)).row.outcome
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])

@@ -37,7 +37,7 @@ from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.scoring.metrics import find_metric
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import FileError, read_json, write_json
-from dosplan.types import Arm, FloatArray
+from dosplan.types import Arm, EpisodeKey, FloatArray
 
 SHIPPED = Path(__file__).parents[2] / "results"
 LEVELS = (0.5, 0.9)
@@ -379,7 +379,9 @@ def test_an_arm_in_which_nobody_drove_is_told(results: Path, tmp_path: Path) -> 
     shutil.copytree(results / "suite", tmp_path / "suite")
     path = tmp_path / "suite" / "scenarios.jsonl"
     rows = [
-        row if row.arm is Arm.WITH_DOS else failed_score(row.scenario, row.arm, "it broke")
+        row
+        if row.arm is Arm.WITH_DOS
+        else failed_score(EpisodeKey(row.scenario, row.arm), "it broke")
         for row in read_rows(path)
     ]
     write_rows(path, rows)

@@ -35,7 +35,7 @@ from dosplan.scenario.synthetic import steady_tracks
 from dosplan.scoring.score import failed_score
 from dosplan.simulation.traffic import Replay, Traffic
 from dosplan.system.files import FileError, write_json
-from dosplan.types import Arm, EpisodeEnd, FloatArray, Lanelet, Outcome, Score
+from dosplan.types import Arm, EpisodeEnd, EpisodeKey, FloatArray, Lanelet, Outcome, Score
 from tests.support.plugins import PLUGINS
 from tests.support.scenes import (
     Goal,
@@ -86,7 +86,9 @@ def _recording(arm: Arm, centres: FloatArray, semi_axes: FloatArray, angle: floa
 
 def _row(scenario: str, arm: Arm, outcome: Outcome, **changes: Any) -> Score:
     safe = outcome in (Outcome.SUCCESS, Outcome.GOAL_MISSED)
-    row = replace(failed_score(scenario, arm, ""), outcome=outcome, safe=safe, steps=2, error=None)
+    row = replace(
+        failed_score(EpisodeKey(scenario, arm), ""), outcome=outcome, safe=safe, steps=2, error=None
+    )
     return replace(row, **changes)
 
 

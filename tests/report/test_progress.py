@@ -25,7 +25,7 @@ from dosplan.results.rows import read_rows
 from dosplan.running.progress import Observer, ProgressObserver
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import read_json
-from dosplan.types import Arm, Outcome, Score
+from dosplan.types import Arm, EpisodeKey, Outcome, Score
 from tests.support.plugins import PLUGINS
 from tests.support.runs import write_followed, write_reached_and_missed
 
@@ -44,7 +44,7 @@ class Clock:
 
 
 def _row(arm: Arm, outcome: Outcome = Outcome.SUCCESS) -> Score:
-    return replace(failed_score("a", arm, ""), outcome=outcome, error=None)
+    return replace(failed_score(EpisodeKey("a", arm), ""), outcome=outcome, error=None)
 
 
 def _lines(clock: Clock, seconds: float, episodes: int, left_over: int = 0) -> list[str]:

@@ -13,7 +13,7 @@ from dosplan.results.comparison import Change, CompareError, compare_rows, compa
 from dosplan.results.rows import write_rows
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import write_json
-from dosplan.types import Arm, Outcome, Score
+from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
 USABLE = [outcome for outcome in Outcome if outcome is not Outcome.UNUSABLE]
 
@@ -21,7 +21,7 @@ USABLE = [outcome for outcome in Outcome if outcome is not Outcome.UNUSABLE]
 def _rows(outcomes: list[Outcome], arm: Arm = Arm.WITH_DOS, velocity: float = 5.0) -> list[Score]:
     return [
         replace(
-            failed_score(f"s{i}", arm, ""),
+            failed_score(EpisodeKey(f"s{i}", arm), ""),
             outcome=outcome,
             safe=outcome is not Outcome.COLLISION,
             at_fault=outcome is Outcome.COLLISION and i % 2 == 0,

@@ -32,6 +32,7 @@ from dosplan.types import (
     CollisionClass,
     Episode,
     EpisodeEnd,
+    EpisodeKey,
     FloatArray,
     Occupancy,
     Outcome,
@@ -49,7 +50,7 @@ SCENARIO = straight_scenario()
 def _row(outcome: Outcome, velocity: float = 10.0, **changes: object) -> Score:
     safe = outcome in (Outcome.SUCCESS, Outcome.GOAL_MISSED)
     row = replace(
-        failed_score("s", Arm.WITH_DOS, ""),
+        failed_score(EpisodeKey("s", Arm.WITH_DOS), ""),
         outcome=outcome,
         safe=safe,
         velocity=velocity,
@@ -122,7 +123,7 @@ def test_a_row_survives_its_file_with_its_types(tmp_path: Path) -> None:
             collision_step=17,
             cycle_ms_p50=0.1,
         ),
-        failed_score("t", Arm.WITHOUT_DOS, 'a "quoted" line\nand another, ünïcode'),
+        failed_score(EpisodeKey("t", Arm.WITHOUT_DOS), 'a "quoted" line\nand another, ünïcode'),
     ]
     path = tmp_path / "scenarios.jsonl"
     write_rows(path, rows[:1])
@@ -231,12 +232,12 @@ def test_cycle_times_are_pooled_over_cycles_not_over_episodes(tmp_path: Path) ->
     folder = RunFolder(tmp_path)
     long, short = _episode(cycles=6), replace(_episode(cycles=2), scenario_id="short")
     for episode in (long, short):
-        path = folder.recording(episode.scenario_id, episode.arm)
+        path = folder.recording(EpisodeKey(episode.scenario_id, episode.arm))
         Recording.of(SCENARIO, episode).save(path)
     rows = [
         _row(Outcome.SUCCESS, scenario=long.scenario_id, cycle_ms_p50=1.0),
         _row(Outcome.SUCCESS, scenario="short", cycle_ms_p50=1.0),
-        failed_score("crashed", Arm.WITH_DOS, "no file"),
+        failed_score(EpisodeKey("crashed", Arm.WITH_DOS), "no file"),
         _row(Outcome.SUCCESS, scenario="other arm", arm=Arm.WITHOUT_DOS, cycle_ms_p50=1.0),
     ]
     times = pooled_cycle_ms(folder, rows, Arm.WITH_DOS)
@@ -248,7 +249,7 @@ def test_cycle_times_are_pooled_over_cycles_not_over_episodes(tmp_path: Path) ->
 
 def test_a_recording_gives_the_episode_back(tmp_path: Path) -> None:
     episode = _episode()
-    path = RunFolder(tmp_path).recording(episode.scenario_id, episode.arm)
+    path = RunFolder(tmp_path).recording(EpisodeKey(episode.scenario_id, episode.arm))
     Recording.of(SCENARIO, episode).save(path)
     assert path.name == "ZAM_Test-1_1_T-1@7.with_dos.npz"
     back = Recording.load(path)
@@ -412,7 +413,7 @@ def test_a_pickle_in_a_recording_is_never_opened(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("scenario", ["../../up", "a/b", "..", "a b:c"])
 def test_an_episode_file_stays_in_its_folder(tmp_path: Path, scenario: str) -> None:
-    path = RunFolder(tmp_path).recording(scenario, Arm.WITH_DOS)
+    path = RunFolder(tmp_path).recording(EpisodeKey(scenario, Arm.WITH_DOS))
     assert path.resolve().parent == (tmp_path / "episodes").resolve()
 
 
@@ -461,7 +462,9 @@ def test_a_row_that_is_taken_in_parts_is_whole() -> None:
 def test_a_long_id_has_a_file_of_its_own(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
     long = "ä" * 240  # Six characters each when quoted.
-    paths = [folder.recording(name, Arm.WITH_DOS) for name in (long, long + "x", "ä" * 33)]
+    paths = [
+        folder.recording(EpisodeKey(name, Arm.WITH_DOS)) for name in (long, long + "x", "ä" * 33)
+    ]
     assert len(set(paths)) == 3
     for path in paths:
         Recording.of(SCENARIO, _episode(cycles=1)).save(path)

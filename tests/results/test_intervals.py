@@ -12,7 +12,7 @@ from scipy.stats import binomtest, ttest_1samp
 from dosplan.results.intervals import mean_interval, metric_interval, share_interval
 from dosplan.scoring.metrics import find_metric
 from dosplan.scoring.score import failed_score
-from dosplan.types import Arm, FloatArray, Outcome
+from dosplan.types import Arm, EpisodeKey, FloatArray, Outcome
 
 RNG = np.random.default_rng(1)
 
@@ -62,7 +62,7 @@ def test_copies_at_the_same_places_tell_no_more() -> None:
 
 
 def test_the_interval_of_a_metric_is_over_the_episodes_that_have_a_value() -> None:
-    failed = failed_score("ZAM_A-1_1_T-1", Arm.WITH_DOS, "it broke")
+    failed = failed_score(EpisodeKey("ZAM_A-1_1_T-1", Arm.WITH_DOS), "it broke")
     rows = [
         replace(failed, scenario=f"ZAM_{place}-1_1_T-1", steps=9, velocity=velocity, error=None)
         for place, velocity in (("A", 4.0), ("B", 6.0), ("C", 8.0))

@@ -18,7 +18,7 @@ from dosplan.results.rows import read_rows, write_rows
 from dosplan.results.summary import read_summary
 from dosplan.running.config import RunConfig
 from dosplan.system.files import FileError, read_json
-from dosplan.types import Arm, Outcome
+from dosplan.types import Arm, EpisodeKey, Outcome
 from tests.support import traffic
 from tests.support.old_files import save_as_version_0_4
 from tests.support.plugins import PLUGINS
@@ -150,7 +150,7 @@ def test_scenarios_that_moved_are_named_and_others_are_refused(
 
 def test_an_episode_file_that_is_gone_is_named(run: RunFolder, tmp_path: Path) -> None:
     copy = copied(run, tmp_path)
-    copy.recording("ZAM_Goal-1_1_T-1", Arm.WITH_DOS).unlink()
+    copy.recording(EpisodeKey("ZAM_Goal-1_1_T-1", Arm.WITH_DOS)).unlink()
     with pytest.raises(FileError, match=r"Goal-1_1_T-1.with_dos.npz is missing"):
         rescore(copy.path)
 

@@ -17,7 +17,7 @@ from dosplan.results.recording import Recording
 from dosplan.running.run import RunError
 from dosplan.scenario import ScenarioError, load_scenario
 from dosplan.scenario.commonroad.solution import Trajectory, solution_xml
-from dosplan.types import Arm, FloatArray
+from dosplan.types import Arm, EpisodeKey, FloatArray
 from dosplan.vehicle import VehicleParameters
 from tests.support.plugins import PLUGINS
 from tests.support.runs import STILL, configured, run_here, write_scenes
@@ -152,7 +152,7 @@ def test_a_run_writes_one_solution_per_file_and_arm(tmp_path: Path) -> None:
         assert benchmark_id == f"[KS2,KS2]:[WX1,WX1]:{NAME}:2020a"
         assert list(trajectories) == [5, 3]
         for problem, (_, states) in trajectories.items():
-            recording = Recording.load(folder.recording(f"{NAME}@{problem}", arm))
+            recording = Recording.load(folder.recording(EpisodeKey(f"{NAME}@{problem}", arm)))
             np.testing.assert_array_equal(states, as_written(recording.states))
         root = ElementTree.fromstring(found[f"{single}.{arm}.xml"].read_bytes())
         assert root.get("benchmark_id") == f"KS2:WX1:{single}:2020a"

@@ -15,7 +15,7 @@ from dosplan.results.rows import read_rows, read_run, row_line
 from dosplan.results.summary import read_summary, write_summary
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import FileError, read_json
-from dosplan.types import Arm, Outcome
+from dosplan.types import Arm, EpisodeKey, Outcome
 
 PUBLISHED = Path(__file__).parents[2] / "results"
 
@@ -81,7 +81,7 @@ def test_a_summary_of_another_type_is_one_line_that_names_the_key(
 
 @pytest.mark.parametrize("text", ["\ud800", "a\nb", "é", 'with "quotes"'])
 def test_a_row_may_hold_any_text(tmp_path: Path, text: str) -> None:
-    row = failed_score(text, Arm.WITH_DOS, text)
+    row = failed_score(EpisodeKey(text, Arm.WITH_DOS), text)
     (tmp_path / "rows").write_text(row_line(row))
     assert read_rows(tmp_path / "rows") == [row]
 
@@ -102,7 +102,7 @@ def test_a_line_that_is_no_row_says_what_is_wrong(
     tmp_path: Path, old: str, new: str, told: str
 ) -> None:
     path = tmp_path / "scenarios.jsonl"
-    line = row_line(failed_score("s", Arm.WITH_DOS, ""))
+    line = row_line(failed_score(EpisodeKey("s", Arm.WITH_DOS), ""))
     path.write_text(line + line.replace(old, new))
     with pytest.raises(FileError) as caught:
         read_rows(path)
@@ -113,7 +113,9 @@ def test_a_line_that_is_no_row_says_what_is_wrong(
 
 
 def test_a_whole_number_may_stand_for_a_float(tmp_path: Path) -> None:
-    line = row_line(failed_score("s", Arm.WITH_DOS, "")).replace('"velocity": 0.0', '"velocity": 3')
+    line = row_line(failed_score(EpisodeKey("s", Arm.WITH_DOS), "")).replace(
+        '"velocity": 0.0', '"velocity": 3'
+    )
     (tmp_path / "rows").write_text(line)
     (row,) = read_rows(tmp_path / "rows")
     assert type(row.velocity) is float

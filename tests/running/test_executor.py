@@ -15,6 +15,7 @@ import pytest
 from dosplan.results.rows import read_rows
 from dosplan.running.config import RunConfig
 from dosplan.running.executor import LocalExecutor, SerialExecutor
+from dosplan.running.job import Task
 from dosplan.running.process import EpisodeProcesses
 from dosplan.running.run import run
 from dosplan.scenario import find_scenarios
@@ -102,10 +103,10 @@ def test_processes_are_kept_from_episode_to_episode_and_none_starts_after_the_en
 ) -> None:
     (ref, other) = find_scenarios(scenes)
     processes = EpisodeProcesses(configured(scenes.parent / "run", scenes, "SlowPlanner"))
-    assert processes.drive(ref, Arm.WITH_DOS).row.outcome is Outcome.SUCCESS
+    assert processes.drive(Task(ref, Arm.WITH_DOS)).row.outcome is Outcome.SUCCESS
     (kept,) = processes._idle
     with ThreadPoolExecutor(1) as thread:
-        driving = thread.submit(processes.drive, other, Arm.WITH_DOS)
+        driving = thread.submit(processes.drive, Task(other, Arm.WITH_DOS))
         until(lambda: processes._busy == [kept], "the kept process to be used")
         stopped = time.monotonic()
         processes.stop()
@@ -114,14 +115,14 @@ def test_processes_are_kept_from_episode_to_episode_and_none_starts_after_the_en
     assert time.monotonic() - stopped < 10.0
     assert processes._idle == processes._busy == []
     with pytest.raises(CancelledError):
-        processes.drive(ref, Arm.WITH_DOS)
+        processes.drive(Task(ref, Arm.WITH_DOS))
 
 
 def test_retired_processes_end_with_their_episodes(scenes: Path) -> None:
     (ref, _) = find_scenarios(scenes)
     processes = EpisodeProcesses(configured(scenes.parent / "run", scenes, "SlowPlanner"))
     with ThreadPoolExecutor(1) as thread:
-        driving = thread.submit(processes.drive, ref, Arm.WITH_DOS)
+        driving = thread.submit(processes.drive, Task(ref, Arm.WITH_DOS))
         until(lambda: processes._busy, "an episode to begin")
         (process,) = processes._busy
         processes.retire()

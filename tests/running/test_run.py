@@ -25,15 +25,15 @@ from dosplan.results.manifest import read_manifest
 from dosplan.results.recording import KEPT_EVERY, Recording
 from dosplan.results.rows import read_rows
 from dosplan.running import run as runner
-from dosplan.running.executor import Results, Task, Verdicts, Workers
-from dosplan.running.job import EpisodeResult, Session
+from dosplan.running.executor import Results, Verdicts, Workers
+from dosplan.running.job import EpisodeResult, Session, Task
 from dosplan.running.progress import Observer, ProgressObserver
 from dosplan.running.run import RunConfig, RunError, run
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios
 from dosplan.scoring.score import failed_score
 from dosplan.system import workers
 from dosplan.system.files import FileError, read_json
-from dosplan.types import Arm, Outcome, Score
+from dosplan.types import Arm, EpisodeKey, Outcome, Score
 from tests.support import traffic
 from tests.support.plugins import PLUGINS
 from tests.support.runs import run_here, write_scenes
@@ -97,7 +97,7 @@ def test_the_seed_reaches_the_planner(scenes: Path, tmp_path: Path) -> None:
 
 def test_the_arms_share_everything_but_the_sets(finished: RunFolder) -> None:
     with_dos, without_dos = (
-        Recording.load(finished.recording("ZAM_Test-0_1_T-1", arm)) for arm in Arm
+        Recording.load(finished.recording(EpisodeKey("ZAM_Test-0_1_T-1", arm))) for arm in Arm
     )
     assert (with_dos.set_semi_axes == 1.0).all()
     assert (without_dos.set_semi_axes == 0.0).all()
@@ -143,7 +143,7 @@ def test_options_reach_the_plugins_and_run_json(scenes: Path, tmp_path: Path) ->
     (row,) = read_rows(folder.rows)
     # From 10 m/s it goes on at 2 m/s^2 for less than a second: 10 to 12 m/s, 10 to 11 on average.
     assert 10.1 < row.velocity < 11.0
-    recording = Recording.load(folder.recording(row.scenario, row.arm))
+    recording = Recording.load(folder.recording(row.key))
     assert recording.set_centres.shape[1] == 20 // KEPT_EVERY
     manifest, summary = read_json(folder.manifest), read_json(folder.summary)
     assert options.items() <= manifest["config"].items()
@@ -335,7 +335,7 @@ def test_the_same_source_by_another_path_is_the_same_run(scenes: Path, tmp_path:
 def test_an_episode_whose_file_is_gone_is_driven_again(scenes: Path, tmp_path: Path) -> None:
     config = _config(tmp_path / "run", scenes, limit=1)
     folder = run_here(config)
-    recording = folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS)
+    recording = folder.recording(EpisodeKey("ZAM_Test-0_1_T-1", Arm.WITH_DOS))
     recording.unlink()
     run_here(config)
     assert recording.is_file()
@@ -375,7 +375,7 @@ def test_the_traffic_of_a_run_is_in_its_files_and_in_every_row(
     assert read_json(folder.summary)["run"]["traffic"] == "shy-v1"
     assert "traffic shy-v1, seed 0, traffic.near=9" in folder.summary_text.read_text()
     assert {row.traffic for row in read_rows(folder.rows)} == {"shy-v1"}
-    recording = Recording.load(folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS))
+    recording = Recording.load(folder.recording(EpisodeKey("ZAM_Test-0_1_T-1", Arm.WITH_DOS)))
     assert recording.tracks is not None
     assert 900 in recording.tracks.ids
 
@@ -387,7 +387,7 @@ def test_an_episode_that_never_began_names_the_traffic_and_leaves_no_old_file(
     folder = run_here(config)
     lines = folder.rows.read_bytes().splitlines(keepends=True)
     folder.rows.write_bytes(lines[1])  # As a kill leaves it: the file is written, not its row.
-    file = folder.recording("ZAM_Test-0_1_T-1", Arm.WITH_DOS)
+    file = folder.recording(EpisodeKey("ZAM_Test-0_1_T-1", Arm.WITH_DOS))
     assert file.is_file()
 
     class Failing:
@@ -401,8 +401,8 @@ def test_an_episode_that_never_began_names_the_traffic_and_leaves_no_old_file(
                 yield ref, None
 
         def drive(self, tasks: Iterable[Task]) -> Results:
-            for ref, arm in tasks:
-                yield (ref, arm), EpisodeResult(failed_score(ref.id, arm, "took too long"))
+            for task in tasks:
+                yield task, EpisodeResult(failed_score(task.key, "took too long"))
 
     run(config, executor=Failing())
     first, _ = read_rows(folder.rows)
@@ -496,7 +496,7 @@ def test_a_config_without_sense_is_refused(change: dict[str, Any]) -> None:
 
 def test_an_episode_is_driven_scored_and_recorded(scenes: Path, tmp_path: Path) -> None:
     ref = find_scenarios(scenes)[0]
-    result = Session(_config(tmp_path, scenes)).drive(ref, Arm.WITH_DOS)
+    result = Session(_config(tmp_path, scenes)).drive(Task(ref, Arm.WITH_DOS))
     row = result.row
     assert (row.outcome, row.scenario) == (Outcome.SUCCESS, ref.id)
     # The goal begins at x = 18 m, the ego's centre starts at 10 m with 10 m/s: 8 steps.
@@ -511,7 +511,7 @@ def test_an_episode_is_driven_scored_and_recorded(scenes: Path, tmp_path: Path) 
 def test_a_failed_plugin_is_made_anew(scenes: Path, tmp_path: Path) -> None:
     session = Session(_config(tmp_path, scenes, "LeakyPlanner"))
     first, broken, last = (
-        session.drive(ref, Arm.WITH_DOS).row for ref in find_scenarios(scenes)[:3]
+        session.drive(Task(ref, Arm.WITH_DOS)).row for ref in find_scenarios(scenes)[:3]
     )
     assert first.outcome is last.outcome is Outcome.SUCCESS
     assert "broken for good" in str(broken.error)
@@ -525,7 +525,7 @@ def test_what_a_plugin_raises_is_in_the_row_and_its_traceback_in_a_file(
     (row,) = read_rows(folder.rows)
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert "SystemExit: enough" in str(row.error)
-    trace = folder.traceback(row.scenario, row.arm).read_text()
+    trace = folder.traceback(row.key).read_text()
     assert trace.startswith("Traceback")
     assert "enough" in trace
 
@@ -533,9 +533,11 @@ def test_what_a_plugin_raises_is_in_the_row_and_its_traceback_in_a_file(
 def test_a_row_that_cannot_be_written_becomes_one_that_can(
     scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bad = replace(failed_score("s", Arm.WITH_DOS, ""), velocity=float("nan"))
+    bad = replace(failed_score(EpisodeKey("s", Arm.WITH_DOS), ""), velocity=float("nan"))
     monkeypatch.setattr(drive, "score", lambda *_: bad)
-    row = Session(_config(tmp_path, scenes)).drive(find_scenarios(scenes)[0], Arm.WITH_DOS).row
+    row = (
+        Session(_config(tmp_path, scenes)).drive(Task(find_scenarios(scenes)[0], Arm.WITH_DOS)).row
+    )
     assert "ValueError: Out of range float values" in str(row.error)
 
 
@@ -546,7 +548,9 @@ def test_an_episode_that_does_not_fit_its_file_is_a_row(
         raise TypeError("a report of words")
 
     monkeypatch.setattr(Recording, "pack", save)
-    row = Session(_config(tmp_path, scenes)).drive(find_scenarios(scenes)[0], Arm.WITH_DOS).row
+    row = (
+        Session(_config(tmp_path, scenes)).drive(Task(find_scenarios(scenes)[0], Arm.WITH_DOS)).row
+    )
     assert (row.outcome, row.error) == (
         Outcome.PLANNER_FAILURE,
         "TypeError: a report of words",
@@ -560,7 +564,7 @@ def test_rows_do_not_depend_on_what_was_drawn_before_a_plugin_was_made(
     velocities = set()
     for draws in (0, 5):
         np.random.uniform(size=draws)  # noqa: NPY002
-        velocities.add(Session(config).drive(ref, Arm.WITH_DOS).row.velocity)
+        velocities.add(Session(config).drive(Task(ref, Arm.WITH_DOS)).row.velocity)
     assert len(velocities) == 1
 
 
@@ -570,7 +574,9 @@ def test_a_broken_scenario_file_is_a_row(scenes: Path, tmp_path: Path) -> None:
     (ref,) = find_scenarios(file)
     session = Session(_config(tmp_path, scenes))
     assert str(session.check(ref)).startswith(f"{file}: is not complete XML (")
-    row = session.drive(ref, Arm.WITH_DOS).row  # As of a file that broke after it was checked.
+    row = session.drive(
+        Task(ref, Arm.WITH_DOS)
+    ).row  # As of a file that broke after it was checked.
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert "ScenarioError" in str(row.error)
 

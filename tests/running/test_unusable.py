@@ -122,7 +122,7 @@ def test_each_kind_has_its_rows_and_is_in_no_rate(folder: RunFolder, scenes: Pat
         assert str(row.error).startswith(f"{file}: ")
         assert REASONS[row.scenario] in str(row.error)
         assert "Error" not in str(row.error)
-        assert not folder.recording(row.scenario, row.arm).exists()
+        assert not folder.recording(row.key).exists()
     summary = read_json(folder.summary)
     for arm in Arm:
         figures = summary[arm.value]

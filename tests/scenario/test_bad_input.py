@@ -31,7 +31,7 @@ from dosplan.scoring.score import failed_score
 from dosplan.system.errors import LONGEST_LINE, one_line
 from dosplan.system.files import FileError, file_name, write_text
 from dosplan.system.yaml_text import MAX_DEPTH, YamlError, parse_yaml
-from dosplan.types import Arm, Plan, ShapeError
+from dosplan.types import Arm, EpisodeKey, Plan, ShapeError
 from tests.support import scenes
 from tests.support.runs import configured, run_here, write_scenes
 from tests.support.scenes import Goal, Problem, User, scenario_xml
@@ -188,7 +188,7 @@ def test_a_training_with_an_odd_number_is_one_short_line(tmp_path: Path, value: 
 @pytest.mark.parametrize("value", ["1" + "0" * 400, "1e999", "-1e999"])
 def test_a_number_too_large_for_a_row_is_named(tmp_path: Path, value: str) -> None:
     path = tmp_path / "scenarios.jsonl"
-    line = row_line(failed_score("a", Arm.WITH_DOS, "broken"))
+    line = row_line(failed_score(EpisodeKey("a", Arm.WITH_DOS), "broken"))
     path.write_text(line.replace('"velocity": 0.0', f'"velocity": {value}'))
     assert value in path.read_text()
     with pytest.raises(FileError, match="line 1, is not a row"):
@@ -224,7 +224,7 @@ def test_a_manifest_with_an_odd_configuration_is_named(
 
 def test_a_long_value_of_a_row_is_shortened(tmp_path: Path) -> None:
     path = tmp_path / "scenarios.jsonl"
-    line = row_line(failed_score("a", Arm.WITH_DOS, "broken"))
+    line = row_line(failed_score(EpisodeKey("a", Arm.WITH_DOS), "broken"))
     path.write_text(line.replace('"planner_failure"', f'"{"a" * 5000}"'))
     with pytest.raises(FileError, match="outcome: Invalid enum value 'aaa") as caught:
         read_rows(path)
@@ -242,7 +242,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """The file of an episode."""
     place = tmp_path_factory.mktemp("run")
     folder = run_here(configured(place / "run", write_scenes(place / "scenes", 1)))
-    return folder.recording("ZAM_Fault-00_1_T-1", Arm.WITH_DOS).read_bytes()
+    return folder.recording(EpisodeKey("ZAM_Fault-00_1_T-1", Arm.WITH_DOS)).read_bytes()
 
 
 def _not_an_episode(path: Path, load: Callable[[Path], object]) -> None:

@@ -10,27 +10,27 @@ import pytest
 
 from dosplan.scoring.metrics import METRICS, Aggregate, Better, Metric, find_metric, measured_kinds
 from dosplan.scoring.score import failed_score, unusable_score
-from dosplan.types import Arm, Outcome, Score
+from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
 NO_TIMES = np.empty(0)
 
 
 def _row(**changes: object) -> Score:
-    return replace(failed_score("s", Arm.WITH_DOS, ""), **changes)  # type: ignore[arg-type]
+    return replace(failed_score(EpisodeKey("s", Arm.WITH_DOS), ""), **changes)  # type: ignore[arg-type]
 
 
 def test_names_and_keys_are_unique_and_no_measure_hides_a_column() -> None:
     assert len({metric.name for metric in METRICS}) == len(METRICS)
     assert len({metric.key for metric in METRICS}) == len(METRICS)
-    columns = failed_score("s", Arm.WITH_DOS, "").columns()
-    assert len(columns) == len(vars(failed_score("s", Arm.WITH_DOS, ""))) - 1 + len(
+    columns = failed_score(EpisodeKey("s", Arm.WITH_DOS), "").columns()
+    assert len(columns) == len(vars(failed_score(EpisodeKey("s", Arm.WITH_DOS), ""))) - 1 + len(
         measured_kinds()
     )
 
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)
 def test_an_episode_that_never_drove_is_a_failure_and_has_no_other_figure(metric: Metric) -> None:
-    value = metric.value(failed_score("s", Arm.WITH_DOS, "it broke"))
+    value = metric.value(failed_score(EpisodeKey("s", Arm.WITH_DOS), "it broke"))
     if metric.name == "planner_failure":
         assert value is True
     elif metric.is_share and metric.name not in ("comfortable", "off_commonroad_road"):
@@ -41,7 +41,10 @@ def test_an_episode_that_never_drove_is_a_failure_and_has_no_other_figure(metric
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)
 def test_what_is_unusable_has_no_figure(metric: Metric) -> None:
-    assert metric.value(unusable_score("s", Arm.WITH_DOS, "s.xml: has no lanelets")) is None
+    assert (
+        metric.value(unusable_score(EpisodeKey("s", Arm.WITH_DOS), "s.xml: has no lanelets"))
+        is None
+    )
 
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)

@@ -19,6 +19,7 @@ from dosplan.types import (
     CollisionClass,
     Episode,
     EpisodeEnd,
+    EpisodeKey,
     FloatArray,
     Occupancy,
     Outcome,
@@ -211,7 +212,7 @@ def test_an_error_is_kept() -> None:
 
 
 def test_the_row_of_an_episode_that_never_was() -> None:
-    row = failed_score("DEU_A-1", Arm.WITH_DOS, "cannot be read")
+    row = failed_score(EpisodeKey("DEU_A-1", Arm.WITH_DOS), "cannot be read")
     assert (row.scenario, row.arm, row.error) == ("DEU_A-1", Arm.WITH_DOS, "cannot be read")
     assert row.outcome is Outcome.PLANNER_FAILURE
     assert (row.steps, row.velocity) == (0, 0.0)

@@ -40,7 +40,7 @@ class Side:
             The recording, or None where there is none that can be read.
         """
         try:
-            return Recording.load(self.folder.recording(scenario, self.arm))
+            return Recording.load(self.folder.recording(self.rows[scenario].key))
         except FileError:  # It failed before it drove, or the folder holds rows only.
             return None
 

@@ -44,17 +44,21 @@ Made from the table in `dosplan/scoring/metrics.py` by `python docs/schema.py`.
 
 Each episode has a value or none. The values of an arm become one figure: a share (from 0 to 1), a
 mean or the largest value, over the episodes that have a value. An episode that crashed is an
-episode like any other, so the denominator of an outcome's share is the number of scenarios that are
-usable. A scenario that nobody could drive has no value in any metric: it is counted in `n`, not in
-`usable`, and listed in `summary.json`. Percentiles of cycle times are over the planning cycles of
-all episodes pooled.
+episode like any other, so the denominator of an outcome's share is the number of episodes, which is
+scenarios times futures, of what is usable. A scenario that nobody could drive has no value in any
+metric: it is counted in `n`, not in `usable`, and listed in `summary.json`. Percentiles of cycle
+times are over the planning cycles of all episodes pooled.
 
 *Key* is the figure's key in `summary.json`; *name*, where it differs, its key in a comparison.
 
-Arms and runs are compared scenario by scenario: shares as paired proportions (Tango's score
-interval, McNemar's exact test), all else by the mean of the differences within the scenarios (t
-interval and t test). Intervals, and the test of means, take into account that several scenarios are
-of one place: see `dosplan/results/paired.py`."""
+Arms and runs are compared scenario by scenario, and future by future where a run has several:
+shares as paired proportions (Tango's score interval, an exact sign-flip test), all else by the mean
+of the differences within the pairs (t interval and t test). Intervals, and the test of means, take
+into account that several futures are of one scenario and several scenarios of one place. A share
+has two p values: `p` takes scenarios as independent, and with one future each it is McNemar's exact
+test; `p_places` takes places as independent. Both are exact however few groups differ; the
+chi-square tests for pairs in groups (Obuchowski 1998, Durkalski 2003) need many. See
+`dosplan/results/paired.py`."""
 _NAMES: Final[dict[Any, str]] = {
     str: "text", bool: "true or false", int: "whole number", float: "number", Any: "anything",
     types.NoneType: "null",

@@ -94,6 +94,7 @@ class RunCommand:
             planner_options=_chosen(options.settings, "planner"),
             predictor_options=_chosen(options.settings, "predictor"),
             traffic_options=_chosen(options.settings, "traffic"),
+            futures=options.futures,
             arms=tuple(Arm(arm) for arm in options.arms) if options.arms else tuple(Arm),
             workers=options.workers,
             limit=options.limit,
@@ -186,6 +187,14 @@ def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
         "--traffic",
         default="replay",
         help="who else is on the road, likewise (default: %(default)s, as recorded)",
+    )
+    parser.add_argument(
+        "--futures",
+        type=int,
+        default=1,
+        metavar="K",
+        help="drive K continuations of each scenario's past, the same for both arms and every "
+        "planner; for traffic that has several (default: %(default)s)",
     )
     parser.add_argument(
         "--set",

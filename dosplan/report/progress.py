@@ -93,8 +93,8 @@ class _Teller(Observer):
         self._console = console
         self._scenarios = 0
 
-    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
-        self._scenarios = max(episodes.values())
+    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score], futures: int = 1) -> None:
+        self._scenarios = max(episodes.values()) // futures
 
     def checked(self, rows: Sequence[Score], unusable: Sequence[Unusable]) -> None:
         for line in unusable_lines(unusable, self._scenarios):
@@ -121,8 +121,8 @@ class _Tally(_Teller):
         self._began = 0.0
         self._left_over = 0  # Rows of an earlier start: they are left out of the rate.
 
-    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
-        super().begin(episodes, rows)
+    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score], futures: int = 1) -> None:
+        super().begin(episodes, rows, futures)
         self.outcomes = {arm: Counter() for arm in episodes}
         for row in rows:
             self.add(row)
@@ -205,8 +205,8 @@ class _LineObserver(Observer):
         self._console, self._tally, self._clock = console, tally, clock
         self._tenths, self._written = _Tenths(), 0.0
 
-    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
-        self._tally.begin(episodes, rows)
+    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score], futures: int = 1) -> None:
+        self._tally.begin(episodes, rows, futures)
         self._write_if_due()
 
     def checking(self, done: int, total: int) -> None:

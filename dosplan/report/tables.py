@@ -15,15 +15,17 @@ from dosplan.results.markdown import (
     difference_lines,
     interval_text,
     scenario_count,
+    size_text,
     summary_cells,
     summary_title,
+    test_name,
 )
 from dosplan.results.paired import Difference
 from dosplan.results.summary import Summary
 from dosplan.results.unusable import unusable_lines
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Metric
-from dosplan.types import Outcome, Score
+from dosplan.types import Outcome, ScenarioFuture, Score
 
 ERRORS_SHOWN: Final = 10
 
@@ -78,7 +80,7 @@ def comparison_tables(comparison: Comparison) -> RenderableType:
         The differences, then the scenarios whose outcome differs.
     """
     differences = table(
-        ["", "n", "A", "B", "B - A", "95 % interval", "A only", "B only", "p"],
+        ["", "n", "A", "B", "B - A", "95 % interval", "A only", "B only", "p", "p, places"],
         [
             _difference_row(metric, comparison.differences[metric.name])
             for metric in metrics.METRICS
@@ -87,17 +89,16 @@ def comparison_tables(comparison: Comparison) -> RenderableType:
     )
     changes = table(
         ["Scenario whose outcome differs", "A", "B"],
-        [[c.scenario, c.a.value, c.b.value] for c in comparison.changes],
+        [[ScenarioFuture(c.scenario, c.future).title, c.a, c.b] for c in comparison.changes],
         numbers=False,
     )
-    title = (
-        f"A = {comparison.a}\nB = {comparison.b}\nn = {comparison.n}, places = {comparison.places}"
-    )
+    title = f"A = {comparison.a}\nB = {comparison.b}\n{size_text(comparison)}"
     if comparison.unusable:
         title += f"; left out as unusable: {comparison.unusable}"
     notes = (
         "Intervals take into account that several scenarios are of one place. p of a share: exact "
-        "McNemar test over scenarios; of a mean: t test over places."
+        f"{test_name(comparison)} test over scenarios, and sign-flip test over places; of a mean: "
+        "t test over places."
     )
     changed = changes if comparison.changes else "No outcome differs."
     return Group(title, differences, notes, changed)
@@ -131,5 +132,5 @@ def _difference_row(metric: Metric, figure: Difference) -> list[str]:
         metric.shown(figure.difference, "+"),
         interval_text(metric, figure),
         *("-" if count is None else str(count) for count in (figure.only_a, figure.only_b)),
-        "-" if figure.p is None else f"{figure.p:.3g}",
+        *("-" if p is None else f"{p:.3g}" for p in (figure.p, figure.p_places)),
     ]

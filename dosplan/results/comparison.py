@@ -1,8 +1,9 @@
 """Paired comparison of two runs, or of the two arms of one, scenario by scenario.
 
-Both sides drove the same scenarios, so what is compared is the difference within each scenario, of
-every metric of ``dosplan.scoring.metrics``. Intervals and tests are those of
-``dosplan.results.paired``: they take into account that several scenarios are of one place.
+Both sides drove the same scenarios and met the same futures of them, so what is compared is the
+difference within each pair of episodes of one scenario and future, of every metric of
+``dosplan.scoring.metrics``. Intervals and tests are those of ``dosplan.results.paired``: they take
+into account that several futures are of one scenario, and several scenarios of one place.
 """
 
 from __future__ import annotations
@@ -29,17 +30,19 @@ class CompareError(DosplanError, ValueError):
 
 @dataclass(frozen=True)
 class Change:
-    """A scenario whose outcome differs.
+    """A scenario whose outcome differs, in one of its futures.
 
     Attributes:
         scenario: Its id.
         a: Outcome on side A.
         b: Outcome on side B.
+        future: Which continuation of the scenario's past.
     """
 
     scenario: str
     a: Outcome
     b: Outcome
+    future: int = 0
 
 
 @dataclass(frozen=True)
@@ -49,17 +52,19 @@ class Comparison:
     Attributes:
         a: Name of side A.
         b: Name of side B.
-        n: Number of scenarios that are compared.
-        places: Number of places these are of.
-        unusable: Number of scenarios that are left out, since they are unusable on a side.
-        differences: The difference of each metric by its name, over the scenarios in which both
+        n: Number of pairs of episodes that are compared: scenarios times futures.
+        futures: Number of futures of each scenario.
+        places: Number of places the scenarios are of.
+        unusable: Number of pairs that are left out, since they are unusable on a side.
+        differences: The difference of each metric by its name, over the pairs in which both
             sides have a value; a metric is left out where there is none.
-        changes: Scenarios whose outcome differs, in the run's order.
+        changes: Scenarios and futures whose outcome differs, in the run's order.
     """
 
     a: str
     b: str
     n: int
+    futures: int = field(kw_only=True, default=1)
     places: int
     unusable: int = field(kw_only=True, default=0)
     differences: Mapping[str, Difference]
@@ -85,6 +90,7 @@ class Comparison:
                 ("places", int),
                 ("changes", tuple[Change, ...]),
                 ("unusable", int, field(default=0)),
+                ("futures", int, field(default=1)),
                 *((m.name, Difference | None, field(default=None)) for m in metrics.METRICS),
             ],
         )
@@ -99,6 +105,7 @@ class Comparison:
             n=content.n,
             places=content.places,
             unusable=content.unusable,
+            futures=content.futures,
             differences={name: one for name, one in found.items() if one is not None},
             changes=content.changes,
         )
@@ -110,7 +117,7 @@ def compare_rows(
     """Compares the rows of two arms over the same scenarios, without those that are unusable.
 
     Args:
-        a: Rows of side A, one for each scenario.
+        a: Rows of side A, one for each scenario and future.
         b: Rows of side B.
         name_a: Name of side A.
         name_b: Name of side B.
@@ -119,28 +126,31 @@ def compare_rows(
         The comparison, ``b - a``.
 
     Raises:
-        CompareError: The sides did not drive the same scenarios, or none.
+        CompareError: The sides did not drive the same scenarios and futures, or none.
     """
-    by_scenario = {row.scenario: row for row in b}
-    if {row.scenario for row in a} != by_scenario.keys():
-        odd = min({row.scenario for row in a} ^ by_scenario.keys())
+    others = {row.scenario_future: row for row in b}
+    if odd := {row.scenario_future for row in a} ^ others.keys():
         raise CompareError(
-            f"{name_a} and {name_b} did not drive the same scenarios: {odd} is in one alone"
+            f"{name_a} and {name_b} did not drive the same scenarios: {min(odd).title} is in one "
+            "alone"
         )
     if not a:
         raise CompareError(f"{name_a} and {name_b} hold no scenario")
-    every = [(row, by_scenario[row.scenario]) for row in a]
+    every = [(row, others[row.scenario_future]) for row in a]
     pairs = [pair for pair in every if Outcome.UNUSABLE not in (pair[0].outcome, pair[1].outcome)]
     found = {metric.name: _compare(metric, pairs) for metric in metrics.METRICS}
     return Comparison(
         a=name_a,
         b=name_b,
         n=len(pairs),
+        futures=len({row.future for row in a}),
         places=len({place_of(row.scenario) for row, _ in pairs}),
         unusable=len(every) - len(pairs),
         differences={name: one for name, one in found.items() if one is not None},
         changes=tuple(
-            Change(x.scenario, x.outcome, y.outcome) for x, y in pairs if x.outcome is not y.outcome
+            Change(x.scenario, x.outcome, y.outcome, x.future)
+            for x, y in pairs
+            if x.outcome is not y.outcome
         ),
     )
 
@@ -226,7 +236,7 @@ def _read_sides(spec: str) -> dict[Arm, Side]:
 def _compare(metric: Metric, pairs: Sequence[tuple[Score, Score]]) -> Difference | None:
     """Compares a metric over those pairs in which both rows have a value; None without any."""
     found = [
-        (left, right, place_of(x.scenario))
+        (left, right, x.scenario)
         for x, y in pairs
         if (left := metric.value(x)) is not None and (right := metric.value(y)) is not None
     ]
@@ -234,4 +244,4 @@ def _compare(metric: Metric, pairs: Sequence[tuple[Score, Score]]) -> Difference
         return None
     a, b = (np.array([pair[side] for pair in found], dtype=np.float64) for side in (0, 1))
     compare = share_difference if metric.is_share else mean_difference
-    return compare(a, b, [place for *_, place in found])
+    return compare(a, b, [scenario for *_, scenario in found])

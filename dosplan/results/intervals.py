@@ -1,10 +1,10 @@
-"""95 % intervals of what is averaged over scenarios.
+"""95 % intervals of what is averaged over episodes.
 
-Scenarios of one place resemble each other, so they carry less information than as many of different
-places. The variance of a mean is estimated from the sums over places, taken as independent. Where
-every place has one scenario, all intervals are those of independent scenarios. Where there is one
-place alone, its scenarios are taken as independent, and an interval says nothing about other
-places.
+Scenarios of one place resemble each other, and futures of one scenario do, so they carry less
+information than as many of different places. The variance of a mean is estimated from the sums over
+places, taken as independent. Where every place has one episode, all intervals are those of
+independent ones. Where there is one place alone, its scenarios are taken as independent, and an
+interval says nothing about other places; where there is one scenario alone, likewise its futures.
 """
 
 from __future__ import annotations
@@ -59,26 +59,26 @@ def metric_interval(metric: Metric, rows: Sequence[Score]) -> Interval | None:
         The interval of a share or a mean; None for other figures, and where nothing has a value.
     """
     values = metric.values(rows)
-    places = [place_of(row.scenario) for row in rows if metric.value(row) is not None]
+    scenarios = [row.scenario for row in rows if metric.value(row) is not None]
     if not len(values) or metric.aggregate not in (Aggregate.SHARE, Aggregate.MEAN):
         return None
-    return (share_interval if metric.is_share else mean_interval)(values, places)
+    return (share_interval if metric.is_share else mean_interval)(values, scenarios)
 
 
-def share_interval(verdicts: FloatArray, places: Sequence[str]) -> Interval:
-    """A share with Wilson's score interval, of the effective number of scenarios.
+def share_interval(verdicts: FloatArray, scenarios: Sequence[str]) -> Interval:
+    """A share with Wilson's score interval, of the effective number of episodes.
 
     Wilson, "Probable inference, the law of succession, and statistical inference", Journal of the
     American Statistical Association 22, 1927; see ``effective_number``.
 
     Args:
-        verdicts: (n,) 0 or 1 in each scenario, n > 0.
-        places: n names of the scenarios' places.
+        verdicts: (n,) 0 or 1 in each episode, n > 0.
+        scenarios: n ids of the scenarios they are of.
 
     Returns:
         The share and its interval.
     """
-    share, n = float(verdicts.mean()), effective_number(verdicts, places)
+    share, n = float(verdicts.mean()), effective_number(verdicts, scenarios)
     z = NormalDist().inv_cdf(0.5 + 0.5 * LEVEL)
     centre = share + z * z / (2.0 * n)
     half = z * math.sqrt(share * (1.0 - share) / n + (z / (2.0 * n)) ** 2)
@@ -86,12 +86,12 @@ def share_interval(verdicts: FloatArray, places: Sequence[str]) -> Interval:
     return Interval(share, max(centre - half, 0.0) / whole, min((centre + half) / whole, 1.0))
 
 
-def mean_interval(values: FloatArray, places: Sequence[str]) -> Interval:
+def mean_interval(values: FloatArray, scenarios: Sequence[str]) -> Interval:
     """A mean with its t interval; see ``mean_test``.
 
     Args:
         values: (n,) values, n > 0.
-        places: n names of the scenarios' places.
+        scenarios: n ids of the scenarios they are of.
 
     Returns:
         The mean and its interval.
@@ -101,63 +101,85 @@ def mean_interval(values: FloatArray, places: Sequence[str]) -> Interval:
     mean = float(values.mean())
     if len(values) == 1:
         return Interval(mean, math.nan, math.nan)
-    error, freedom = mean_test(values, places)
+    error, freedom = mean_test(values, scenarios)
     half = float(t.ppf(0.5 + 0.5 * LEVEL, freedom)) * error
     return Interval(mean, mean - half, mean + half)
 
 
-def mean_test(values: FloatArray, places: Sequence[str]) -> MeanTest:
+def mean_test(values: FloatArray, scenarios: Sequence[str]) -> MeanTest:
     """The error of a mean.
 
     The standard error is the cluster-robust one (Liang, Zeger, "Longitudinal data analysis using
     generalized linear models", Biometrika 73, 1986), with as many degrees of freedom as there are
     places less one (Cameron, Miller, "A practitioner's guide to cluster-robust inference", Journal
-    of Human Resources 50, 2015). Where every place has one scenario, it is the usual one.
+    of Human Resources 50, 2015). Where every place has one episode, it is the usual one.
 
     Args:
         values: (n,) values, n > 1.
-        places: n names of the scenarios' places.
+        scenarios: n ids of the scenarios they are of.
 
     Returns:
         Standard error and degrees of freedom.
     """
-    sums = _sums(values - values.mean(), places)
+    sums = sums_over(values - values.mean(), independent_groups(scenarios))
     freedom = len(sums) - 1
     return MeanTest(math.sqrt(len(sums) / freedom * float(sums @ sums)) / len(values), freedom)
 
 
-def effective_number(values: FloatArray, places: Sequence[str]) -> float:
-    """Number of independent scenarios that carry as much information as these.
+def effective_number(values: FloatArray, scenarios: Sequence[str]) -> float:
+    """Number of independent episodes that carry as much information as these.
 
-    The number of scenarios over the design effect: the variance of the mean by places over that of
-    independent scenarios, 1 at least. As the variance is estimated from few places only, the
+    The number of episodes over the design effect: the variance of the mean by places over that of
+    independent episodes, 1 at least. As the variance is estimated from few places only, the
     number is also multiplied by the squared ratio of the t quantiles of ``n - 1`` and of
     ``places - 1`` degrees of freedom (Korn, Graubard, "Confidence intervals for proportions with
     small expected number of positive counts estimated from survey data", Survey Methodology 24,
     1998).
 
     Args:
-        values: (n,) value in each scenario, n > 0.
-        places: n names of the scenarios' places.
+        values: (n,) value in each episode, n > 0.
+        scenarios: n ids of the scenarios they are of.
 
     Returns:
         The number, ``n`` at most.
     """
     from scipy.stats import t
 
-    n, count = len(values), len(set(places))
+    groups = independent_groups(scenarios)
+    n, count = len(values), len(set(groups))
     if count in (1, n):
         return float(n)
     rest = values - values.mean()
-    sums = _sums(rest, places)
+    sums = sums_over(rest, groups)
     alone = n / (n - 1) * float(rest @ rest)
     effect = count / (count - 1) * float(sums @ sums) / alone if alone > 0.0 else 1.0
     many, few = t.ppf(0.5 + 0.5 * LEVEL, [n - 1, count - 1])
     return n / max(effect, 1.0) * float(many / few) ** 2
 
 
-def _sums(values: FloatArray, places: Sequence[str]) -> FloatArray:
-    """(K,) the sum over the scenarios of each place; (n,) the values where there is one place."""
-    _, place = np.unique(places, return_inverse=True)
-    sums = np.bincount(place, weights=values)
+def independent_groups(scenarios: Sequence[str]) -> list[str]:
+    """What is taken as independent.
+
+    Args:
+        scenarios: Ids of the scenarios of some episodes.
+
+    Returns:
+        For each episode its place; where all are of one place, its scenario.
+    """
+    places = [place_of(scenario) for scenario in scenarios]
+    return places if len(set(places)) > 1 else list(scenarios)
+
+
+def sums_over(values: FloatArray, groups: Sequence[str]) -> FloatArray:
+    """Sums values over groups.
+
+    Args:
+        values: (n,) values.
+        groups: n names of the groups they belong to.
+
+    Returns:
+        (K,) the sum over each group; the values themselves where there is one group.
+    """
+    _, group = np.unique(groups, return_inverse=True)
+    sums = np.bincount(group, weights=values)
     return values if len(sums) == 1 else np.asarray(sums)

@@ -115,6 +115,11 @@ class RunManifest:
         parts = (self.scenarios, self.config.arms, range(self.config.futures))
         return tuple(EpisodeKey(*part) for part in product(*parts))
 
+    @property
+    def episodes_per_arm(self) -> int:
+        """Number of episodes of each arm."""
+        return len(self.scenarios) * self.config.futures
+
 
 def write_manifest(folder: RunFolder, manifest: RunManifest) -> None:
     """Writes ``run.json``.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final
 
+from dosplan.results.comparison import Comparison
 from dosplan.results.paired import Difference
 from dosplan.results.summary import Summary
 from dosplan.results.unusable import unusable_title
@@ -89,7 +90,8 @@ def summary_cells(summary: Summary) -> list[Cells]:
 
 def scenario_count(summary: Summary) -> int:
     """Counts the scenarios of a run, usable or not."""
-    return max(int(figures["n"] or 0) for figures in summary.arms.values())
+    episodes = max(int(figures["n"] or 0) for figures in summary.arms.values())
+    return episodes // summary.run.futures
 
 
 def summary_title(summary: Summary) -> str:
@@ -113,6 +115,8 @@ def summary_title(summary: Summary) -> str:
         for name, value in chosen.items()
     )
     traffic = [] if run.traffic == "replay" else [f"traffic {run.traffic}"]
+    if run.futures > 1:
+        traffic.append(f"{run.futures} futures")
     settings = ", ".join([*traffic, f"seed {run.seed}", *options])
     return f"{run.planner} with {run.predictor} on {run.source}, {settings}{mark}"
 
@@ -131,9 +135,23 @@ def difference_lines(summary: Summary) -> list[str]:
     metric, success = find_metric("success"), summary.comparison.differences["success"]
     return [
         f"Success, with DOS minus without: {metric.shown(success.difference, '+')} points "
-        f"(95 % interval {interval_text(metric, success)}; McNemar p = {success.p:.3g}, "
-        f"n = {summary.comparison.n}, places = {summary.comparison.places})"
+        f"(95 % interval {interval_text(metric, success)}; "
+        f"{test_name(summary.comparison)} p = {success.p:.3g}, {size_text(summary.comparison)})"
     ]
+
+
+def test_name(comparison: Comparison) -> str:
+    """Names the test of shares; the sign-flip test of single pairs has a name of its own."""
+    return "McNemar" if comparison.futures == 1 else "sign-flip"
+
+
+def size_text(comparison: Comparison) -> str:
+    """Says over what a comparison is: pairs, and of how many scenarios, futures and places."""
+    n, futures = comparison.n, comparison.futures
+    parts = [f"n = {n}"]
+    if futures > 1:
+        parts.append(f"scenarios = {n // futures}, futures = {futures}")
+    return ", ".join([*parts, f"places = {comparison.places}"])
 
 
 def _escaped(text: str) -> str:

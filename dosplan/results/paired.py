@@ -1,7 +1,8 @@
-"""Differences of two sides that drove the same scenarios, with 95 % intervals and tests.
+"""Differences of two sides that drove the same episodes, with 95 % intervals and tests.
 
-What is averaged is the difference within each scenario. Intervals take into account that several
-scenarios are of one place, as all of ``dosplan.results.intervals``.
+What is averaged is the difference within each pair of episodes, of one scenario and future.
+Intervals take into account that several futures are of one scenario and several scenarios of one
+place, as all of ``dosplan.results.intervals``.
 """
 
 from __future__ import annotations
@@ -14,8 +15,15 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.results.intervals import LEVEL, effective_number, mean_interval, mean_test
-from dosplan.types import FloatArray
+from dosplan.results.intervals import (
+    LEVEL,
+    effective_number,
+    independent_groups,
+    mean_interval,
+    mean_test,
+    sums_over,
+)
+from dosplan.types import FloatArray, place_of
 
 _TINY: Final = 1e-12  # Keeps the search for a limit off the ends, where the score has no value.
 
@@ -25,17 +33,20 @@ class Difference:
     """A figure on both sides, and its mean paired difference.
 
     Attributes:
-        n: Number of scenarios it is over.
+        n: Number of pairs it is over: scenarios times futures.
         places: Number of places these are of.
-        a: Mean over the scenarios of side A.
-        b: Mean over the same scenarios of side B.
+        a: Mean over the episodes of side A.
+        b: Mean over the same episodes of side B.
         difference: ``b - a``.
-        low: Lower end of the 95 % interval of the difference; None where one scenario has none.
+        low: Lower end of the 95 % interval of the difference; None where one pair has none.
         high: Upper end.
-        only_a: Scenarios in which it is so on side A alone; None for what is no share.
+        only_a: Pairs in which it is so on side A alone; None for what is no share.
         only_b: The same for side B.
-        p: Two-sided p. Of a share, that of the exact McNemar test, which takes scenarios as
-            independent; of a mean, that of the t test by places. None where there is none.
+        p: Two-sided p. Of a share, that of the exact sign-flip test, which takes scenarios as
+            independent; with one future each, that is McNemar's exact test. Of a mean, that of the
+            t test by places. None where there is none.
+        p_places: Two-sided p of a share by the same sign-flip test, which takes places as
+            independent; of a mean, the same as ``p``. Absent in summaries of earlier versions.
     """
 
     n: int
@@ -48,34 +59,31 @@ class Difference:
     only_a: int | None = None
     only_b: int | None = None
     p: float | None = None
+    p_places: float | None = None
 
 
-def share_difference(a: FloatArray, b: FloatArray, places: Sequence[str]) -> Difference:
+def share_difference(a: FloatArray, b: FloatArray, scenarios: Sequence[str]) -> Difference:
     """Compares how often something is so.
 
-    The interval is Tango's score interval of the effective number of scenarios (see
+    The interval is Tango's score interval of the effective number of episodes (see
     ``effective_number``; the variance by places is then that of Obuchowski, "On the comparison of
-    correlated proportions for clustered data", Statistics in Medicine 17, 1998). The test is
-    McNemar's (1947), exact: among the scenarios whose verdicts differ, both directions are equally
-    likely.
+    correlated proportions for clustered data", Statistics in Medicine 17, 1998). The tests are
+    those of ``sign_flip_p``, once by scenarios and once by places.
 
     Args:
-        a: (n,) 0 or 1 of side A in each scenario, n > 0.
+        a: (n,) 0 or 1 of side A in each pair, n > 0.
         b: (n,) the same of side B.
-        places: n names of the scenarios' places.
+        scenarios: n ids of the scenarios they are of.
 
     Returns:
         The difference.
     """
-    from scipy.stats import binomtest  # A slow import that the rest of a run does without.
-
-    only_a, only_b = int(np.sum(a > b)), int(np.sum(b > a))
-    n, discordant = len(a), only_a + only_b
-    weight = effective_number(b - a, places) / n
+    only_a, only_b, n = int(np.sum(a > b)), int(np.sum(b > a)), len(a)
+    weight = effective_number(b - a, scenarios) / n
     low, high = tango_interval(weight * only_b, weight * only_a, weight * n)
     return Difference(
         n=n,
-        places=len(set(places)),
+        places=len(set(map(place_of, scenarios))),
         a=float(a.mean()),
         b=float(b.mean()),
         difference=(only_b - only_a) / n,
@@ -83,19 +91,57 @@ def share_difference(a: FloatArray, b: FloatArray, places: Sequence[str]) -> Dif
         high=high,
         only_a=only_a,
         only_b=only_b,
-        p=float(binomtest(only_b, discordant).pvalue) if discordant else 1.0,
+        p=sign_flip_p(sums_over(b - a, scenarios)),
+        p_places=sign_flip_p(sums_over(b - a, independent_groups(scenarios))),
     )
 
 
-def mean_difference(a: FloatArray, b: FloatArray, places: Sequence[str]) -> Difference:
+def sign_flip_p(sums: FloatArray) -> float:
+    """Exact test that neither side is better, of differences that come in groups.
+
+    If neither is, a group's sum of differences is as likely to be its opposite, whatever goes on
+    within the group. The p is the share of all 2^K choices of the K signs in which the total is as
+    far from zero as it is. Where no sum is more than 1 in size, this is McNemar's test (1947),
+    exact. The total is the numerator of the tests for such pairs by Obuchowski (see
+    ``share_difference``) and by Durkalski, Palesch, Lipsitz, Rust, "Analysis of clustered
+    matched-pair data", Statistics in Medicine 22, 2003; their chi-square needs many groups that
+    differ, and here few do. Flipping the signs of whole groups: Winkler et al., "Multi-level block
+    permutation", NeuroImage 123, 2015.
+
+    Args:
+        sums: (K,) the sum of the differences of each group, whole numbers.
+
+    Returns:
+        Two-sided p.
+    """
+    from scipy.stats import binom, binomtest  # A slow import that the rest of a run does without.
+
+    sizes, counts = np.unique(np.abs(sums[sums != 0.0]).astype(np.int64), return_counts=True)
+    if not len(sizes):
+        return 1.0
+    if sizes[-1] == 1:
+        return float(binomtest(int(np.sum(sums > 0.0)), int(counts[0])).pvalue)
+    # Groups of one size together have a binomial number of positive signs: the total, shifted to
+    # begin at zero, is the sum over the sizes of twice the size times that number.
+    law = np.ones(1)
+    for size, count in zip(sizes.tolist(), counts.tolist(), strict=True):
+        part = np.zeros(size * count + 1)
+        part[::size] = binom.pmf(np.arange(count + 1), count, 0.5)
+        law = np.convolve(law, part)
+    largest = len(law) - 1
+    away = np.abs(2 * np.arange(len(law)) - largest)
+    return min(float(law[away >= abs(int(sums.sum()))].sum()), 1.0)
+
+
+def mean_difference(a: FloatArray, b: FloatArray, scenarios: Sequence[str]) -> Difference:
     """Compares means by the t test of the differences; see ``mean_test``.
 
-    Where every place has one scenario, that is the paired t test.
+    Where every place has one pair, that is the paired t test.
 
     Args:
         a: (n,) values of side A, n > 0.
         b: (n,) those of side B.
-        places: n names of the scenarios' places.
+        scenarios: n ids of the scenarios they are of.
 
     Returns:
         The difference.
@@ -103,24 +149,25 @@ def mean_difference(a: FloatArray, b: FloatArray, places: Sequence[str]) -> Diff
     from scipy.stats import t
 
     n, differences = len(a), b - a
-    mean, *ends = mean_interval(differences, places)
+    mean, *ends = mean_interval(differences, scenarios)
     low, high = ends if n > 1 else (None, None)
     p = None
     if n > 1:
-        error, freedom = mean_test(differences, places)
+        error, freedom = mean_test(differences, scenarios)
         if error > 0.0:
             p = 2.0 * float(t.sf(abs(mean) / error, freedom))
         elif mean == 0.0:
             p = 1.0
     return Difference(
         n=n,
-        places=len(set(places)),
+        places=len(set(map(place_of, scenarios))),
         a=float(a.mean()),
         b=float(b.mean()),
         difference=mean,
         low=low,
         high=high,
         p=p,
+        p_places=p,
     )
 
 

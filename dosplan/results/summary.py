@@ -25,8 +25,8 @@ from dosplan.system.typed import plain, typed
 from dosplan.types import Arm, FloatArray, Outcome, Score
 
 ArmSummary = dict[str, int | float | None]
-"""The figures of one arm: ``n``, the number of scenarios, ``usable``, the number of those that
-somebody could drive, and over these the figure of each metric by its key
+"""The figures of one arm: ``n``, the number of episodes (scenarios times futures), ``usable``, the
+number of those that somebody could drive, and over these the figure of each metric by its key
 (``dosplan.scoring.metrics.Metric.key``). Shares lie between 0 and 1; None where no episode has a
 value."""
 
@@ -43,6 +43,7 @@ class RunTitle:
         planner_options: Options of the planner.
         predictor_options: Options of the predictor.
         traffic_options: Options of the traffic.
+        futures: Number of futures of each scenario.
         seed: Seed of everything random.
         ranked: Whether the run may be ranked: false where the predictor may have seen the future.
     """
@@ -54,6 +55,7 @@ class RunTitle:
     planner_options: Mapping[str, Any]
     predictor_options: Mapping[str, Any]
     traffic_options: Mapping[str, Any] = field(default_factory=dict)
+    futures: int = 1
     seed: int
     ranked: bool
 
@@ -105,7 +107,7 @@ def summarise_run(folder: RunFolder, manifest: RunManifest, rows: Sequence[Score
         FileError: The file of an episode that has cycles is missing or broken.
     """
     times = {arm: pooled_cycle_ms(folder, rows, arm) for arm in manifest.config.arms}
-    return _summary(manifest, rows, summarise(rows, len(manifest.scenarios), times))
+    return _summary(manifest, rows, summarise(rows, manifest.episodes_per_arm, times))
 
 
 def summarise_rows(folder: RunFolder, manifest: RunManifest, rows: Sequence[Score]) -> Summary:
@@ -123,9 +125,8 @@ def summarise_rows(folder: RunFolder, manifest: RunManifest, rows: Sequence[Scor
         FileError: There is no ``summary.json``.
     """
     old = read_json(folder.summary)
-    figures = summarise(
-        rows, len(manifest.scenarios), dict.fromkeys(manifest.config.arms, np.empty(0))
-    )
+    no_times = dict.fromkeys(manifest.config.arms, np.empty(0))
+    figures = summarise(rows, manifest.episodes_per_arm, no_times)
     for arm, found in figures.items():
         found |= {
             metric.key: old.get(arm.value, {}).get(metric.key)
@@ -153,6 +154,7 @@ def _summary(
             planner_options=config.planner_options,
             predictor_options=config.predictor_options,
             traffic_options=config.traffic_options,
+            futures=config.futures,
             seed=config.seed,
             ranked=config.ranked,
         ),
@@ -213,7 +215,7 @@ def summarise(
 
     Args:
         rows: Rows of a run.
-        n: Number of scenarios of the run; every share is over those of them that are usable.
+        n: Number of episodes of each arm; every share is over those of them that are usable.
         cycle_ms: Times of all planning cycles of each arm, ms.
 
     Returns:
@@ -252,7 +254,7 @@ def pooled_cycle_ms(folder: RunFolder, rows: Iterable[Score], arm: Arm) -> Float
 
 def _summarise_arm(rows: Sequence[Score], n: int, cycle_ms: FloatArray) -> ArmSummary:
     if len(rows) != n:
-        raise ValueError(f"{len(rows)} rows for {n} scenarios: every scenario needs its row")
+        raise ValueError(f"{len(rows)} rows for {n} episodes: every episode needs its row")
     usable = sum(row.outcome is not Outcome.UNUSABLE for row in rows)
     figures: ArmSummary = {"n": n, "usable": usable}
     return figures | {m.key: m.summarise(rows, cycle_ms) for m in metrics.METRICS}

@@ -46,7 +46,7 @@ class RunConfig(RunSettings):
             raise RunError(
                 f"episode_timeout is {self.episode_timeout}; it must be more than 0 and finite"
             )
-        for name in ("workers", "limit", "sample", "replan_every", "memory_limit"):
+        for name in ("workers", "limit", "sample", "futures", "replan_every", "memory_limit"):
             value = getattr(self, name)
             if value is not None and value <= 0:
                 raise RunError(f"{name} is {value}; it must be more than 0")

@@ -30,6 +30,8 @@ from dosplan.system.errors import one_line
 from dosplan.system.workers import seed_globals
 from dosplan.types import Arm, EpisodeEnd, EpisodeKey, Score
 
+Plugins = tuple[Planner, Predictor, Traffic]
+
 
 class Task(NamedTuple):
     """An episode that is to be driven.
@@ -78,7 +80,7 @@ class Session:
         """
         self._config = config
         self._attended = attended
-        self._plugins: tuple[Planner, Predictor, Traffic] | None = None
+        self._plugins: Plugins | None = None
 
     def check(self, ref: ScenarioRef) -> str | None:
         """Tells whether a scenario can be driven; keeps it in the cache for its drives.
@@ -115,7 +117,8 @@ class Session:
         plugins, self._plugins = self._plugins, None
         try:
             seed_globals(config.seed)
-            planner, predictor, traffic = plugins = plugins or make_plugins(config)
+            plugins = _with_future(plugins or make_plugins(config), config, task.future)
+            planner, predictor, traffic = plugins
             seed_globals(config.seed)
             scenario = load_scenario(task.ref, cached=config.cache)
             loop = SimulationConfig(replan_every=config.replan_every)
@@ -170,7 +173,7 @@ def failed_result(key: EpisodeKey, error: BaseException) -> EpisodeResult:
     return EpisodeResult(failed_score(key, one_line(error)), traceback=_text(error))
 
 
-def make_plugins(config: RunConfig) -> tuple[Planner, Predictor, Traffic]:
+def make_plugins(config: RunConfig) -> Plugins:
     """Makes the plug-ins of a run.
 
     Args:
@@ -182,7 +185,8 @@ def make_plugins(config: RunConfig) -> tuple[Planner, Predictor, Traffic]:
     Raises:
         RegistryError: One of them cannot be built.
         RunError: The predictor does not predict as far as the planner looks ahead, or is shown a
-            recording that the traffic does not follow.
+            recording that the traffic does not follow; or the traffic has one future, and
+            several are asked for.
     """
     planner = create_planner(config.planner, config.seed, config.planner_options)
     predictor = create_predictor(config.predictor, config.seed, config.predictor_options)
@@ -196,6 +200,24 @@ def make_plugins(config: RunConfig) -> tuple[Planner, Predictor, Traffic]:
         raise RunError(
             f"predictor {predictor.name} is shown the recording, which the traffic {traffic.name} "
             "departs from; choose another predictor, or the traffic replay"
+        )
+    if config.futures > 1 and not traffic.has_futures:
+        raise RunError(
+            f"futures is {config.futures}, and the traffic {traffic.name} has one future only; "
+            "leave --futures out, or choose a traffic that has several"
+        )
+    return planner, predictor, traffic
+
+
+def _with_future(plugins: Plugins, config: RunConfig, future: int) -> Plugins:
+    """The plug-ins with a traffic that drives that future; it is made anew where it is another."""
+    planner, predictor, traffic = plugins
+    if traffic.future != future:
+        traffic = create_traffic(config.traffic, config.seed, config.traffic_options, future=future)
+    if traffic.future != future:
+        raise RunError(
+            f"traffic {traffic.name} was told future {future} and keeps {traffic.future}; have its "
+            "constructor hand the future to that of Traffic"
         )
     return planner, predictor, traffic
 

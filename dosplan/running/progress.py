@@ -13,12 +13,13 @@ Progress = Callable[[int, int], None]
 class Observer:
     """Receives a run's rows; this one ignores them."""
 
-    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
+    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score], futures: int = 1) -> None:
         """The run begins, or goes on.
 
         Args:
             episodes: Number of episodes of each arm.
             rows: The rows that an interrupted run left, in no order.
+            futures: How many episodes of an arm are of one scenario.
         """
 
     def checking(self, done: int, total: int) -> None:
@@ -58,12 +59,13 @@ class ProgressObserver(Observer):
         self._progress = progress
         self._done = self._total = 0
 
-    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score]) -> None:
+    def begin(self, episodes: Mapping[Arm, int], rows: Sequence[Score], futures: int = 1) -> None:
         """Passes on how many an interrupted run left.
 
         Args:
             episodes: Number of episodes of each arm.
             rows: The rows that it left.
+            futures: Not used.
         """
         self._done, self._total = len(rows), sum(episodes.values())
         self._progress(self._done, self._total)

@@ -93,7 +93,8 @@ def run(
     with _held(folder):
         manifest = _extended(folder, wanted, refs)
         kept, left = _unfinished(folder, tasks)
-        observer.begin(dict.fromkeys(config.arms, len(refs) * config.futures), kept)
+        episodes = dict.fromkeys(config.arms, len(refs) * config.futures)
+        observer.begin(episodes, kept, config.futures)
         if left:
             with (executor or _executor(config)).start(config) as workers:
                 left = _check(folder, manifest.traffic, workers, kept, left, observer)

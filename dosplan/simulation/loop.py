@@ -127,6 +127,7 @@ def run_episode(
         cycle_steps=np.array(log.cycle_steps, dtype=np.int64),
         error=error,
         traffic=traffic.name,
+        future=traffic.future,
         signals=None if world is None else world.signals,
     )
 

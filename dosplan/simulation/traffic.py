@@ -75,16 +75,20 @@ class Traffic(ABC):
         as_recorded: Whether all drive as recorded, whatever the ego does. The tracks of an
             episode are then those of the scenario, and only then may a predictor be shown them. A
             subclass does not inherit it, as it may depart from the recording.
+        has_futures: Whether the future number changes what comes; only then may a run ask for
+            several. A subclass does not inherit it, as it may drive one future only.
     """
 
     name: ClassVar[str]
     settings: ClassVar[type[Any]] = NoSettings
     as_recorded: ClassVar[bool] = False
+    has_futures: ClassVar[bool] = False
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        if "as_recorded" not in vars(cls):
-            cls.as_recorded = False
+        for name in ("as_recorded", "has_futures"):
+            if name not in vars(cls):
+                setattr(cls, name, False)
 
     def __init__(self, *, seed: int = 0, settings: Any = NoSettings(), future: int = 0) -> None:
         """Keeps the seed and the future.

@@ -32,7 +32,14 @@ from dosplan.types.arrays import (
     IntArray,
     ShapeError,
 )
-from dosplan.types.episode import Arm, DrivenEpisode, Episode, EpisodeEnd, EpisodeKey
+from dosplan.types.episode import (
+    Arm,
+    DrivenEpisode,
+    Episode,
+    EpisodeEnd,
+    EpisodeKey,
+    ScenarioFuture,
+)
 from dosplan.types.lights import COLOURS, LightColour, LightStates, Signals
 from dosplan.types.planning import (
     HISTORY_STEPS,
@@ -109,6 +116,7 @@ __all__ = [
     "Route",
     "RouteStop",
     "Scenario",
+    "ScenarioFuture",
     "Score",
     "ShapeError",
     "SignRule",

@@ -22,6 +22,23 @@ class Arm(StrEnum):
     WITHOUT_DOS = "without_dos"
 
 
+class ScenarioFuture(NamedTuple):
+    """A scenario with one of its futures: what both arms and all planners meet.
+
+    Attributes:
+        scenario: Id of the scenario.
+        future: Which continuation of its past; 0 where there is one.
+    """
+
+    scenario: str
+    future: int = 0
+
+    @property
+    def title(self) -> str:
+        """It in words; a future that is not the first is named."""
+        return f"{self.scenario}, future {self.future}" if self.future else self.scenario
+
+
 class EpisodeKey(NamedTuple):
     """Which episode of a run.
 

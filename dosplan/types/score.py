@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields
 from enum import StrEnum
 from typing import Any
 
-from dosplan.types.episode import Arm, EpisodeKey
+from dosplan.types.episode import Arm, EpisodeKey, ScenarioFuture
 
 Measure = float | int | bool | None
 """Value of a metric in one episode; None where the episode has none."""
@@ -105,6 +105,11 @@ class Score:
     def key(self) -> EpisodeKey:
         """Which episode of the run it is of."""
         return EpisodeKey(self.scenario, self.arm, self.future)
+
+    @property
+    def scenario_future(self) -> ScenarioFuture:
+        """What was driven, whatever the arm: rows that agree in it are compared."""
+        return ScenarioFuture(self.scenario, self.future)
 
     def columns(self) -> dict[str, Any]:
         """The row as it is written: its fields, with ``measures`` flattened into it."""

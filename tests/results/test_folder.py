@@ -224,7 +224,7 @@ def test_outcome_rates_add_up_to_one() -> None:
 @pytest.mark.parametrize("n", [1, 3])
 def test_a_missing_or_surplus_row_is_an_error(n: int) -> None:
     rows = [_row(Outcome.SUCCESS), _row(Outcome.SUCCESS)]
-    with pytest.raises(ValueError, match=f"2 rows for {n} scenarios"):
+    with pytest.raises(ValueError, match=f"2 rows for {n} episodes"):
         summarise(rows, n, {Arm.WITH_DOS: np.empty(0)})
 
 

@@ -17,7 +17,7 @@ from dosplan.report.html.cases import OUTCOME_WORDS, Case
 from dosplan.report.html.coverage import Coverage, total
 from dosplan.report.html.sides import Pairing, Side
 from dosplan.results.intervals import metric_interval
-from dosplan.results.markdown import interval_text
+from dosplan.results.markdown import interval_text, test_name
 from dosplan.results.paired import Difference
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Group, Metric, find_metric
@@ -110,7 +110,8 @@ def grounds(pairing: Pairing) -> list[str]:
         verdict = "more than chance brings about" if _beyond_chance(success) else "may be chance"
         sentences.append(
             f"The difference in success is {metric.shown(success.difference, '+')} points (95 % "
-            f"interval {interval_text(metric, success)}; McNemar p = {success.p:.2g}): {verdict}."
+            f"interval {interval_text(metric, success)}; {test_name(pairing.comparison)} "
+            f"p = {success.p:.2g}): {verdict}."
         )
     return sentences + [
         f"Failed {_name(side.name)}: {_failures(side)}." for side in pairing.sides[::-1]

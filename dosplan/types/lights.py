@@ -146,7 +146,7 @@ class Signals:
         """
         k = min(step, self.colours.shape[1] - 1)
         return LightStates(
-            ids=self.ids.copy(),
+            ids=self.ids,
             colours=tuple(COLOURS[number] for number in self.colours[:, k]),
-            since=self.since[:, k].copy(),
+            since=self.since[:, k],
         )

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from dosplan.report.film.paint import LAMP_HANDLER
 from dosplan.report.film.scene import draw_scene, legend_handles
 from dosplan.scenario import load_scenario
 
@@ -47,7 +48,12 @@ def draw_sheet(suite: Path, out: Path) -> None:
     for axes, row, scenario in zip(grid.flat, chosen, scenarios, strict=False):
         draw_scene(axes, scenario, scenario.task.start_step)
         axes.set_title(f"{row['road_kind']}\n{row['id']}", fontsize=8)
-    figure.legend(handles=legend_handles(*scenarios), loc="outside lower center", ncols=11)
+    figure.legend(
+        handles=legend_handles(*scenarios),
+        handler_map=dict(LAMP_HANDLER),
+        loc="outside lower center",
+        ncols=11,
+    )
     figure.savefig(out, dpi=110)
 
 

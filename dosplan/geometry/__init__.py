@@ -1,4 +1,4 @@
-"""Geometry of the plane, ellipses and paths in it, and the goal's regions."""
+"""Geometry of the plane, ellipses and paths in it, the goal's regions, and lights by lane."""
 
 from dosplan.geometry.ellipse import (
     ellipse_area,
@@ -7,6 +7,7 @@ from dosplan.geometry.ellipse import (
     mahalanobis,
     set_sizes,
 )
+from dosplan.geometry.lights import NO_LIGHT, LightIndex, LightsAhead, lights_at
 from dosplan.geometry.path import (
     PATH_CURVATURE,
     PATH_HEADING,
@@ -31,12 +32,15 @@ from dosplan.geometry.plane import (
 )
 
 __all__ = [
+    "NO_LIGHT",
     "PATH_CURVATURE",
     "PATH_HEADING",
     "PATH_SIZE",
     "PATH_X",
     "PATH_Y",
     "EvenPath",
+    "LightIndex",
+    "LightsAhead",
     "ReferencePath",
     "areas",
     "braking_envelope",
@@ -48,6 +52,7 @@ __all__ = [
     "lanelet_polygon",
     "lanelet_union",
     "lanelets_off_road",
+    "lights_at",
     "mahalanobis",
     "rectangle_corners",
     "set_sizes",

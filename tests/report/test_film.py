@@ -25,6 +25,7 @@ from dosplan.report.film.framing import frame_scene
 from dosplan.report.film.layers import SET_COLOURS
 from dosplan.report.film.panel import USER_COLOURS
 from dosplan.report.film.scene import ARM_COLOURS, EGO_COLOUR
+from dosplan.report.road_paint import LAMP_COLOURS
 from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
@@ -33,6 +34,7 @@ from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.simulation.loop import run_episode
 from dosplan.system.files import FileError
 from dosplan.types import (
+    COLOURS,
     Arm,
     FloatArray,
     GoalState,
@@ -41,6 +43,7 @@ from dosplan.types import (
     Scenario,
 )
 from dosplan.vehicle import VehicleParameters
+from tests.support.lights import TURNS_GREEN, regulated_scenario
 from tests.support.plugins import PLUGINS, CoastPlanner, GrowingPredictor
 from tests.support.runs import (
     STEPS,
@@ -134,6 +137,19 @@ def test_sets_are_translucent_and_have_the_colour_of_their_step(tmp_path: Path) 
     # The other arm has a point there, in the full colour.
     point = pixel(film, picture, (50.0, 0.0), 0)
     np.testing.assert_allclose(point, SET_COLOURS(4.0 / 7.0)[:3], atol=6e-3)
+
+
+def test_the_lights_of_a_film_change_as_they_did(tmp_path: Path) -> None:
+    scenario = regulated_scenario()
+    film = Film([driven(scenario)], "")
+    (panel,) = film.panels
+    assert len(panel.lamps_in_view()) == 3
+    red, green = (to_rgb(LAMP_COLOURS[COLOURS.index(c)][0]) for c in ("red", "green"))
+    for step, wanted in ((TURNS_GREEN - 1, red), (TURNS_GREEN, green)):
+        picture = film.picture(step)
+        x, y = panel.axes.transData.transform(panel.lamps_in_view()[0].place)
+        seen = picture[len(picture) - round(float(y)), round(float(x))] / 255.0
+        np.testing.assert_allclose(seen, wanted, atol=0.03)
 
 
 def test_a_gif_has_a_picture_for_each_step_and_plays_in_real_time(tmp_path: Path) -> None:

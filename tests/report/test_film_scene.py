@@ -4,27 +4,36 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, PathCollection, PolyCollection
+from matplotlib.collections import (
+    EllipseCollection,
+    LineCollection,
+    PathCollection,
+    PolyCollection,
+)
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from shapely.geometry import box
 
 from dosplan.geometry import lanelet_union, rectangle_corners
-from dosplan.report.film.layers import Sets
+from dosplan.report.film.layers import Lamps, Sets
+from dosplan.report.film.paint import LAMP_HANDLER
 from dosplan.report.film.scene import (
     EGO_COLOUR,
     KIND_COLOURS,
     draw_scene,
     legend_handles,
 )
+from dosplan.report.road_paint import LAMP_COLOURS, lamps
 from dosplan.scenario.synthetic import busy_scenario
-from dosplan.types import GoalState, RoadMap, Scenario
+from dosplan.types import COLOURS, GoalState, LightColour, RoadMap, Scenario
 from dosplan.vehicle import VehicleParameters
+from tests.support.lights import STOP_X, TURNS_GREEN, regulated_scenario
 
 GOAL = box(60.0, -1.5, 72.0, 1.5)
 VEHICLE = VehicleParameters()
@@ -139,3 +148,42 @@ def test_a_sidewalk_is_hatched_beside_the_road(scenario: Scenario, axes: Axes) -
 def test_legend_names_what_occurs(scenario: Scenario) -> None:
     labels = [str(handle.get_label()) for handle in legend_handles(scenario)]
     assert labels == ["ego", "goal", "car", "truck", "pedestrian", "parked"]
+
+
+def test_what_is_painted_and_what_stands_beside_is_drawn(axes: Axes) -> None:
+    draw_scene(axes, regulated_scenario(), 0)
+    drawn = {str(artist.get_label()): artist for artist in (*axes.collections, *axes.lines)}
+    assert {"solid", "dashed", "lines", "crosswalk", "stop line", "speed_limit", "stop"} <= set(
+        drawn
+    )
+    stops = drawn["stop line"]
+    assert isinstance(stops, LineCollection)
+    assert sorted(segment[:, 0].mean() for segment in stops.get_segments()) == [STOP_X, STOP_X]
+    dashes: Any = drawn["dashed"]
+    assert [pattern is not None for _, pattern in dashes.get_linestyle()] == [True]
+    assert [text.get_text() for text in axes.texts][:1] == ["50"]
+    stripes = drawn["crosswalk"]
+    assert isinstance(stripes, PolyCollection)
+    assert len(stripes.get_paths()) == 7  # 7 m of road, half a metre each, and gaps between.
+
+
+def test_lights_have_the_colour_of_the_step(axes: Axes) -> None:
+    scenario = regulated_scenario()
+    layer = Lamps(axes, lamps(scenario.road_map, scenario.signals), zorder=8)
+    discs = layer.artists[0]
+    assert isinstance(discs, PathCollection)
+    red, green = (LAMP_COLOURS[COLOURS.index(c)][0] for c in (LightColour.RED, LightColour.GREEN))
+    for step, wanted in ((0, [red, green, red]), (TURNS_GREEN, [green, green, red])):
+        layer.show_step(step)
+        assert [to_hex(tuple(c)) for c in np.asarray(discs.get_facecolor())] == wanted
+    places = np.asarray(discs.get_offsets())
+    np.testing.assert_allclose(places[:, 0], STOP_X)
+
+
+def test_the_legend_names_lights_and_the_unit_of_limits(axes: Axes) -> None:
+    keys = legend_handles(regulated_scenario())
+    axes.legend(handles=keys, handler_map=dict(LAMP_HANDLER))
+    legend = axes.get_legend()
+    assert legend is not None
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert labels == ["ego", "goal", "no road for cars", "traffic light", "limit, km/h"]

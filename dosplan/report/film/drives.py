@@ -21,7 +21,16 @@ from dosplan.scenario import ScenarioRef, has_problem, load_recording, load_scen
 from dosplan.scoring.collision import shape_at
 from dosplan.simulation.loop import run_episode
 from dosplan.system.files import FileError
-from dosplan.types import EGO_VELOCITY, STEP_SECONDS, Arm, FloatArray, Scenario, Score, Tracks
+from dosplan.types import (
+    EGO_VELOCITY,
+    STEP_SECONDS,
+    Arm,
+    FloatArray,
+    Scenario,
+    Score,
+    Signals,
+    Tracks,
+)
 
 
 @dataclass(frozen=True)
@@ -61,6 +70,13 @@ class Take:
     def tracks(self) -> Tracks:
         """The road users: as they were driven, or as recorded where nothing was driven."""
         return self.scenario.tracks if self.drive is None else self.drive.tracks
+
+    @property
+    def signals(self) -> Signals:
+        """The traffic lights: as they were in the drive, else as recorded."""
+        if self.drive is None:
+            return self.scenario.signals
+        return self.drive.recording.signals_in(self.scenario)
 
     @property
     def start(self) -> int:

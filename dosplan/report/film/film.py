@@ -11,7 +11,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -20,6 +19,7 @@ from matplotlib.patches import Patch
 from dosplan.report.film.drives import Take
 from dosplan.report.film.framing import Framing, frame_scene
 from dosplan.report.film.layers import INK, SET_COLOURS
+from dosplan.report.film.paint import LAMP_HANDLER, paint_keys
 from dosplan.report.film.panel import USER_COLOURS, Panel
 from dosplan.report.film.scene import GOAL_COLOUR, off_road_key
 from dosplan.types import STEP_SECONDS, Outcome
@@ -98,7 +98,7 @@ class Film:
     def _draw_legend(self, framing: Framing, takes: Sequence[Take]) -> None:
         width, height = framing.size
         kinds = {kind for panel in self.panels for kind in panel.kinds_in_view()}
-        keys: list[Artist] = [
+        keys: list[Any] = [
             Patch(
                 facecolor=take.colour,
                 edgecolor=INK,
@@ -119,6 +119,10 @@ class Film:
                 Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
             ]
         keys += off_road_key(takes[0].scenario)
+        keys += paint_keys(
+            [lamp for panel in self.panels for lamp in panel.lamps_in_view()],
+            [plate for panel in self.panels for plate in panel.plates_in_view()],
+        )
         keys += [
             Patch(facecolor=colour, edgecolor=INK, linewidth=0.4, label=kind.value)
             for kind, colour in USER_COLOURS.items()
@@ -126,6 +130,7 @@ class Film:
         ]
         self._figure.legend(
             handles=keys,
+            handler_map=dict(LAMP_HANDLER),
             loc="upper left",
             bbox_to_anchor=(framing.left / width, framing.legend / height),
             ncols=int(width // _KEY),

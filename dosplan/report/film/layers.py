@@ -16,6 +16,7 @@ from matplotlib.collections import EllipseCollection, PathCollection, PolyCollec
 from matplotlib.colors import LinearSegmentedColormap
 
 from dosplan.geometry import rectangle_corners, to_world
+from dosplan.report.road_paint import LAMP_COLOURS, RIM, Lamp
 from dosplan.types import FloatArray, IntArray, RoadUserKind, Tracks
 
 INK: Final = "#222222"
@@ -25,6 +26,7 @@ SET_COLOURS: Final = LinearSegmentedColormap.from_list("sets", ["#00876c", "#e0a
 _NOSE: Final = "#ffffff"
 _EDGE: Final = (1.0, 1.0, 1.0, 0.9)  # Sets are translucent, so that those below are seen.
 _AREA: Final = (1.0, 1.0, 1.0, 0.25)
+_LAMP: Final = 46.0  # Area of a traffic light, square points.
 _POINT: Final = 14.0  # Area of a predicted position, square points.
 
 
@@ -163,6 +165,38 @@ class Sets:
         self._ellipses.set_facecolor((colours[sets] * _AREA).tolist())
         self._points.set_offsets(centres[points])
         self._points.set_facecolor(colours[points].tolist())
+
+
+class Lamps:
+    """Traffic lights: a disc in the colour that is shown, with a dark rim."""
+
+    def __init__(self, axes: Axes, lamps: Sequence[Lamp], zorder: float) -> None:
+        """Makes the artists; nothing is shown yet.
+
+        Args:
+            axes: Where to draw.
+            lamps: The lights.
+            zorder: Height among the other layers.
+        """
+        self._lamps = lamps
+        places = np.reshape([lamp.place for lamp in lamps], (-1, 2))
+        self._discs, self._cores = (
+            axes.scatter(
+                places[:, 0], places[:, 1], s=size, edgecolors=RIM, linewidths=rim, zorder=zorder
+            )
+            for size, rim in ((_LAMP, 1.1), (0.22 * _LAMP, 0.0))
+        )
+        self.artists: tuple[Artist, ...] = (self._discs, self._cores)
+
+    def show_step(self, step: int) -> None:
+        """Shows what the lights show.
+
+        Args:
+            step: A step.
+        """
+        shown = [LAMP_COLOURS[lamp.at(step)] for lamp in self._lamps]
+        self._discs.set_facecolor([disc for disc, _ in shown])
+        self._cores.set_facecolor([core for _, core in shown])
 
 
 def on_scene(tracks: Tracks, step: int) -> IntArray:

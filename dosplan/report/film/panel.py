@@ -15,8 +15,9 @@ from matplotlib.text import Annotation
 
 from dosplan.report.film.drives import Take
 from dosplan.report.film.framing import Framing
-from dosplan.report.film.layers import INK, Bodies, Sets, Users, on_scene
+from dosplan.report.film.layers import INK, Bodies, Lamps, Sets, Users, on_scene
 from dosplan.report.film.scene import KIND_COLOURS, draw_map, draw_task
+from dosplan.report.road_paint import Lamp, Plate, lamps, plates
 from dosplan.types import FloatArray, Outcome, RoadUserKind
 
 _GREY: Final = "#b4bac2"
@@ -117,6 +118,7 @@ class Panel:
         if take.has_task:
             self._ego.show(pose[None], np.array([take.scenario.task.vehicle.size]), [take.colour])
             self._driven.set_data(*take.ego[: index + 1, :2].T)
+        self._lamps.show_step(now)
         self._show_cycle(now, pose)
         speed = f"     {velocity:.1f} m/s" if take.row is not None else ""
         self._clock.set_text(f"{take.seconds(now):.1f} s{speed}")
@@ -134,6 +136,21 @@ class Panel:
                 away = np.abs(tracks.states[here, step, :2] - self._centre(step))
                 found |= {tracks.kinds[user] for user in here[(away < reach).all(axis=-1)]}
         return found
+
+    def lamps_in_view(self) -> list[Lamp]:
+        """The traffic lights that come into view."""
+        found = lamps(self.take.scenario.road_map, self.take.signals)
+        return [lamp for lamp in found if self._comes_into_view(lamp.place)]
+
+    def plates_in_view(self) -> list[Plate]:
+        """The signs that come into view."""
+        found = plates(self.take.scenario.road_map)
+        return [plate for plate in found if self._comes_into_view(plate.place)]
+
+    def _comes_into_view(self, place: FloatArray) -> bool:
+        steps = range(self.take.start, self.take.end + 1) if self._framing.follows else (0,)
+        centres = np.array([self._centre(step) for step in steps])
+        return bool((np.abs(place - centres) < self._framing.reach).all(axis=-1).any())
 
     def _centre(self, step: int) -> FloatArray:
         """(2,) middle of the view, m."""
@@ -191,6 +208,8 @@ class Panel:
             zorder=7,
         )
         self._ego = Bodies(axes, zorder=8, line=1.0)
+        # Above the bodies: whoever drives over a stop line does not hide its light.
+        self._lamps = Lamps(axes, lamps(take.scenario.road_map, take.signals), zorder=8)
         good = take.row is not None and take.row.outcome is Outcome.SUCCESS
         colour = _GOOD if good else _BAD
         shape, extent = ("o", 26.0) if good else (_CROSS, 30.0)  # Points.
@@ -227,6 +246,7 @@ class Panel:
             *self._users.artists,
             self._plan,
             *self._ego.artists,
+            *self._lamps.artists,
             *self._marks,
             self._clock,
             self._verdict,

@@ -15,7 +15,9 @@ from matplotlib.path import Path as Outline
 from shapely.geometry import MultiPolygon, Polygon
 
 from dosplan.geometry import lanelets_off_road
-from dosplan.report.film.layers import INK, Bodies, Users, on_scene
+from dosplan.report.film.layers import INK, Bodies, Lamps, Users, on_scene
+from dosplan.report.film.paint import KERB, draw_paint, paint_keys
+from dosplan.report.road_paint import lamps, plates
 from dosplan.types import Arm, FloatArray, GoalState, RoadUserKind, Scenario
 
 KIND_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
@@ -39,7 +41,7 @@ ARM_COLOURS: Final = MappingProxyType({Arm.WITHOUT_DOS: "#d55e00", Arm.WITH_DOS:
 """Colour of each arm, and of the ego in it; pages have the same."""
 
 GOAL_COLOUR: Final = "#1a9641"
-_ROAD, _MARKING, _KERB = "#dfe1e0", "#ffffff", "#9b9b95"
+_ROAD: Final = "#dfe1e0"
 _OFF_ROAD: Final[Mapping[str, Any]] = MappingProxyType(
     {"facecolor": "#f3f4f2", "edgecolor": "#c4c6c1", "hatch": "////", "linewidth": 0.5}
 )
@@ -57,32 +59,37 @@ def draw_scene(axes: Axes, scenario: Scenario, step: int) -> None:
     Args:
         axes: Where to draw; their limits, ticks and aspect are set.
         scenario: The scene.
-        step: Step of the recording at which the road users are shown, each of them trailing the
-            second before.
+        step: Step of the recording at which road users and lights are shown, the road users
+            trailing the second before.
     """
     draw_map(axes, scenario)
     draw_task(axes, scenario)
     _draw_trails(axes, scenario, step)
     Users(axes, scenario.tracks, KIND_COLOURS, zorder=6).show_step(step)
     _draw_ego(axes, scenario)
+    Lamps(axes, lamps(scenario.road_map, scenario.signals), zorder=8).show_step(step)
     _set_view(axes, scenario)
 
 
-def legend_handles(*scenarios: Scenario) -> list[Patch]:
-    """Keys for a legend.
+def legend_handles(*scenarios: Scenario) -> list[Any]:
+    """Keys for a legend, to be drawn with ``paint.LAMP_HANDLER``.
 
     Args:
         scenarios: What is drawn.
 
     Returns:
-        The ego, the goal, lanelets that are no road for a car where there are any, and every kind
-        of road user that occurs, in a fixed order.
+        The ego, the goal, lanelets that are no road for a car, lights and speed limits where
+        there are any, and every kind of road user that occurs, in a fixed order.
     """
     present = {kind for scenario in scenarios for kind in scenario.tracks.kinds}
     return [
         Patch(facecolor=EGO_COLOUR, edgecolor=INK, label="ego"),
         Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
         *off_road_key(*scenarios),
+        *paint_keys(
+            [lamp for one in scenarios for lamp in lamps(one.road_map, one.signals)],
+            [plate for one in scenarios for plate in plates(one.road_map)],
+        ),
         *(
             Patch(facecolor=colour, edgecolor=INK, label=kind.value)
             for kind, colour in KIND_COLOURS.items()
@@ -115,7 +122,7 @@ def _patch(area: Polygon | MultiPolygon) -> Outline:
 
 
 def draw_map(axes: Axes, scenario: Scenario) -> None:
-    """Draws the road, and hatched beside it the lanelets that are no road for a car.
+    """Draws the road, what is painted on it, and signs; hatched, what is no road for a car.
 
     Args:
         axes: Where to draw.
@@ -127,9 +134,8 @@ def draw_map(axes: Axes, scenario: Scenario) -> None:
         axes.add_patch(PathPatch(_patch(off_road), **_OFF_ROAD, zorder=1))
     road = _patch(road_map.drivable)
     axes.add_patch(PathPatch(road, facecolor=_ROAD, edgecolor="none", zorder=1))
-    bounds = [line for lanelet in road_map.lanelets for line in (lanelet.left, lanelet.right)]
-    axes.add_collection(LineCollection(bounds, colors=_MARKING, linewidths=0.7, zorder=2))
-    axes.add_patch(PathPatch(road, facecolor="none", edgecolor=_KERB, linewidth=0.8, zorder=2))
+    axes.add_patch(PathPatch(road, facecolor="none", edgecolor=KERB, linewidth=0.8, zorder=2))
+    draw_paint(axes, road_map, zorder=2)
 
 
 def draw_task(axes: Axes, scenario: Scenario) -> None:

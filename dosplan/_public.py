@@ -110,6 +110,7 @@ def run_episode(
     seed: int = 0,
     replan_every: int = 1,
     traffic: Traffic | str = "replay",
+    future: int = 0,
 ) -> Drive:
     """Drives and scores one scenario, in this process.
 
@@ -121,6 +122,7 @@ def run_episode(
         seed: Seed of a plug-in that is given by its name.
         replan_every: Steps driven from each plan.
         traffic: The other road users: a traffic, or the name of one.
+        future: Which continuation of the past a traffic drives that is given by its name.
 
     Returns:
         The drive: ``row``, its score; ``episode``, all that happened; ``recording``, what a run
@@ -134,7 +136,7 @@ def run_episode(
     if isinstance(predictor, str):
         predictor = create_predictor(predictor, seed)
     if isinstance(traffic, str):
-        traffic = create_traffic(traffic, seed)
+        traffic = create_traffic(traffic, seed, future=future)
     config = SimulationConfig(replan_every=replan_every)
     episode = simulate(scenario, planner, predictor, Arm(arm), config, traffic)
     return Drive.of(scenario, episode)
@@ -162,7 +164,8 @@ def run_suite(
         progress: Called with the number of finished episodes and of all.
         executor: Drives the episodes; worker processes do by default.
         **settings: Further fields of ``dosplan.running.config.RunConfig``, such as ``limit=10``,
-            ``workers=2``, ``predictor_options={"coverage": 0.9}`` or ``solutions=True``. Unlike
+            ``workers=2``, ``futures=4``, ``predictor_options={"coverage": 0.9}`` or
+            ``solutions=True``. Unlike
             there, every CPU has a worker and parsed scenarios are kept.
 
     Returns:

@@ -32,6 +32,12 @@ class ExplainCommand:
             choices=("with_dos", "without_dos"),
             help="explain this arm only (default: those that the run holds)",
         )
+        parser.add_argument(
+            "--future",
+            type=int,
+            metavar="K",
+            help="explain this future only, from 0 (default: those that the run holds)",
+        )
         add_moved_source(parser)
 
     def run(self, options: argparse.Namespace) -> int:
@@ -47,7 +53,7 @@ class ExplainCommand:
         from dosplan.types import Arm
 
         arms = (Arm(options.arm),) if options.arm else tuple(Arm)
-        found = explain(options.run_folder, options.scenario, arms, options.source)
+        found = explain(options.run_folder, options.scenario, arms, options.source, options.future)
         figures = {"explanations": [asdict(explanation) for explanation in found]}
         show([line for e in found for line in e.lines()], figures, options.json)
         return OK

@@ -53,6 +53,12 @@ class RenderCommand:
         parser.add_argument(
             "--arm", choices=_ARMS, help="draw this arm only (default: both, side by side)"
         )
+        parser.add_argument(
+            "--future",
+            type=int,
+            metavar="K",
+            help="draw this future of an episode of a run that has several (default: 0)",
+        )
         moments = parser.add_mutually_exclusive_group()
         moments.add_argument(
             "--time",
@@ -139,7 +145,9 @@ def _takes(options: argparse.Namespace) -> Takes:
             raise CommandError(
                 "--planner, --predictor and --seed are for a scenario, not for a run"
             )
-        return takes_of_run(*episode, arms, options.source)
+        return takes_of_run(*episode, arms, options.source, options.future or 0)
+    if options.future is not None:
+        raise CommandError("--future is for an episode of a run: name it as RUN:ID")
     if options.planner:
         predictor = options.predictor or "dos"
         return takes_of_drive(_scenario(options), options.planner, predictor, arms, options.seed)

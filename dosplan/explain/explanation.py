@@ -14,7 +14,7 @@ from dosplan.explain.planning import PlanningFacts, planning_facts
 from dosplan.explain.road import RoadFacts, road_facts
 from dosplan.results.drive import Drive, find_drives
 from dosplan.results.folder import RunFolder
-from dosplan.types import Arm, Outcome, Score
+from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
 MOST_NOTES: Final = 5
 """Notes of one scenario that are shown; a map may have one for every lanelet."""
@@ -27,6 +27,7 @@ class Explanation:
     Attributes:
         scenario: Id of the scenario.
         arm: The arm.
+        future: Which continuation of the scenario's past.
         outcome: Its outcome.
         step: The step that decided it; None where the episode never began.
         seconds: That step since the start, s.
@@ -43,6 +44,7 @@ class Explanation:
 
     scenario: str
     arm: Arm
+    future: int
     outcome: Outcome
     step: int | None = None
     seconds: float | None = None
@@ -70,12 +72,17 @@ class Explanation:
         if self.min_time_to_collision is not None:
             body.append(f"smallest time to collision: {self.min_time_to_collision:.2f} s")
         body += [f"the scenario file: {note}" for note in shown_notes(self.notes)]
-        title = f"{self.scenario}, {self.arm}: {self.outcome} {when}"
+        key = EpisodeKey(self.scenario, self.arm, self.future)
+        title = f"{key.title}: {self.outcome} {when}"
         return [title, *(f"  {line}" for line in body)]
 
 
 def explain(
-    path: Path, scenario: str, arms: Sequence[Arm] = tuple(Arm), source: str | None = None
+    path: Path,
+    scenario: str,
+    arms: Sequence[Arm] = tuple(Arm),
+    source: str | None = None,
+    future: int | None = None,
 ) -> list[Explanation]:
     """Explains the episodes of a scenario in a run; the run may still be going on.
 
@@ -84,9 +91,10 @@ def explain(
         scenario: Id of the scenario.
         arms: Arms that are wanted; those that the run does not drive are left out.
         source: Where the scenarios lie now; where the run found them if None.
+        future: The continuation of its past that is wanted; all of them if None.
 
     Returns:
-        One explanation for each arm.
+        One explanation for each arm and future.
 
     Raises:
         FileError: The folder holds no such episode, or its scenario cannot be found or read, or
@@ -95,7 +103,7 @@ def explain(
     folder = RunFolder(path)
     return [
         _failure(folder, row) if drive is None else explain_drive(drive, _traceback(folder, row))
-        for row, drive in find_drives(path, scenario, arms, source)
+        for row, drive in find_drives(path, scenario, arms, source, future)
     ]
 
 
@@ -115,8 +123,7 @@ def explain_drive(drive: Drive, traceback: str | None = None) -> Explanation:
     row = drive.row
     contact, off_road, reached = drive.contact, row.out_of_bounds_step, row.goal_step
     return Explanation(
-        scenario=row.scenario,
-        arm=row.arm,
+        **row.key._asdict(),
         outcome=row.outcome,
         step=drive.decisive_step,
         seconds=drive.seconds(drive.decisive_step),
@@ -149,8 +156,7 @@ def shown_notes(notes: tuple[str, ...]) -> tuple[str, ...]:
 
 def _failure(folder: RunFolder, row: Score) -> Explanation:
     return Explanation(
-        scenario=row.scenario,
-        arm=row.arm,
+        **row.key._asdict(),
         outcome=row.outcome,
         error=row.error,
         traceback=_traceback(folder, row),

@@ -177,7 +177,11 @@ class Drive:
 
 
 def find_drives(
-    path: Path, scenario: str, arms: Sequence[Arm] = tuple(Arm), source: str | None = None
+    path: Path,
+    scenario: str,
+    arms: Sequence[Arm] = tuple(Arm),
+    source: str | None = None,
+    future: int | None = None,
 ) -> list[tuple[Score, Drive | None]]:
     """Reads the drives of a scenario in a run; the run may still be going on.
 
@@ -186,9 +190,11 @@ def find_drives(
         scenario: Id of the scenario.
         arms: Arms that are wanted; those that the run does not drive are left out.
         source: Where the scenarios lie now; where the run found them if None.
+        future: The continuation of its past that is wanted; all of them if None.
 
     Returns:
-        The row of each arm with its drive; None where the episode failed before it began.
+        The row of each arm and future with its drive; None where the episode failed before it
+        began.
 
     Raises:
         FileError: The folder holds no such episode, or its scenario cannot be found or read, or
@@ -200,7 +206,16 @@ def find_drives(
         raise FileError(
             f"{path} holds no scenario {scenario}{did_you_mean(scenario, manifest.scenarios, 3)}"
         )
-    rows = [row for row in read_rows(folder.rows) if row.scenario == scenario and row.arm in arms]
+    if future is not None and not 0 <= future < manifest.config.futures:
+        raise FileError(
+            f"{path} holds no future {future} of {scenario}: its futures are 0 to "
+            f"{manifest.config.futures - 1}"
+        )
+    rows = [
+        row
+        for row in read_rows(folder.rows)
+        if row.scenario == scenario and row.arm in arms and future in (None, row.future)
+    ]
     if not rows:
         raise FileError(f"{path} holds no finished episode of {scenario} in {' or '.join(arms)}")
     recordings = [find_recording(folder, row) for row in rows]

@@ -13,8 +13,8 @@ from typing import Any, Final
 from dosplan.results.manifest import RunSettings
 from dosplan.system.errors import DosplanError
 
-SELECTION: Final = ("source", "ids", "only", "sample", "limit")
-"""Settings that say which scenarios are driven: the run is known by the scenarios themselves."""
+SELECTION: Final = ("source", "ids", "only", "sample", "limit", "futures")
+"""Settings that say which episodes are driven: a run may grow by scenarios and futures."""
 FREE: Final = (*SELECTION, "workers", "cluster", "cache", "solutions")
 """Settings in which two invocations of one run may differ: they do not reach a row. (The same
 files by another path are the same source.)"""

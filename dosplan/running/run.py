@@ -3,8 +3,8 @@
 An episode is one scenario in one arm with one future. An ``Executor`` drives it; the run loop hands
 out the episodes that have no row yet and is the only one that writes what comes back: first the
 files of an episode, then its row, so that a row always has its files. A run that was killed at any
-moment is resumed by the same command. One that names more scenarios adds them to the run and drives
-what is missing. The rows end up in the order of the manifest.
+moment is resumed by the same command. One that names more scenarios, or more futures, adds them to
+the run and drives what is missing. The rows end up in the order of the manifest.
 
 Before the first episode every scenario is read and checked, where it would be driven. One that
 nobody could drive has its rows at once, of the outcome ``unusable``, in every arm
@@ -269,14 +269,14 @@ def _open_folder(folder: RunFolder, manifest: RunManifest, refs: Sequence[Scenar
 
 
 def _extended(folder: RunFolder, manifest: RunManifest, refs: Sequence[ScenarioRef]) -> RunManifest:
-    """Adds to the run in a folder the scenarios that it does not hold yet.
+    """Adds to the run in a folder the scenarios and futures that it does not hold yet.
 
     Returns:
         What its ``run.json`` holds then.
     """
     old = read_manifest(folder)  # Anew: until the folder was held, somebody may have extended it.
     _check_same(folder, old, manifest, refs)
-    if old.scenarios == manifest.scenarios:
+    if old.episodes == manifest.episodes:
         return old
     chosen = {name: getattr(manifest.config, name) for name in SELECTION}
     grown = replace(
@@ -292,7 +292,7 @@ def _extended(folder: RunFolder, manifest: RunManifest, refs: Sequence[ScenarioR
 def _check_same(
     folder: RunFolder, old: RunManifest, manifest: RunManifest, refs: Sequence[ScenarioRef]
 ) -> None:
-    """Refuses a run that differs from the one in the folder, but for scenarios that are new.
+    """Refuses a run that differs from the one in the folder, but for new scenarios and futures.
 
     Raises:
         RunError: It does.
@@ -308,6 +308,12 @@ def _check_same(
             f"{folder.path} holds a run of {len(old.scenarios)} scenarios, of which this one "
             f"leaves out {len(lost)} ({lost[0]}{', ...' if len(lost) > 1 else ''}): a run may grow "
             "but not shrink; nothing was changed. Choose another --out, or name all of them"
+        )
+    futures = manifest.config.futures
+    if odd is None and futures < old.config.futures:
+        raise RunError(
+            f"{folder.path} holds a run of {old.config.futures} futures, and this one has "
+            f"{futures}: a run may grow but not shrink; nothing was changed. Choose another --out"
         )
     if old.scenarios == manifest.scenarios:
         held = manifest.digests[SCENARIO_FILES]

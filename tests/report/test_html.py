@@ -420,12 +420,8 @@ def test_groups_that_fail_come_first(tmp_path: Path) -> None:
 def test_groups_of_one_meaning_are_shown_once() -> None:
     def titles(pairs: list[tuple[str, str]]) -> list[str]:
         row = _row("s", Arm.WITH_DOS, Outcome.SUCCESS)
-        cases = [
-            Case(
-                "s", family, road, "succeeded", (row,), ("",), (None,), (np.empty(0),), {}, (), None
-            )
-            for road, family in pairs
-        ]
+        rest: tuple[Any, ...] = ("succeeded", (row,), ("",), (None,), (np.empty(0),), {}, (), None)
+        cases = [Case(row.scenario_future, family, road, *rest) for road, family in pairs]
         return [title for title, _ in page.group_tables(cases, 1)]
 
     assert titles([("urban", "DEU"), ("rural", "USA"), ("urban", "DEU")]) == ["Road kind"]

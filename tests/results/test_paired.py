@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import multinomial, ttest_rel
+from scipy.stats import binomtest, multinomial, ttest_rel
 
 from dosplan.results.intervals import effective_number
 from dosplan.results.paired import (
     Difference,
     mean_difference,
     share_difference,
+    sign_flip_p,
     tango_interval,
 )
 from dosplan.types import FloatArray
@@ -151,6 +153,75 @@ def test_one_place_alone_is_taken_as_independent_scenarios() -> None:
     values = RNG.normal(size=30)
     mean = mean_difference(np.zeros(30), values, ["p"] * 30)
     assert mean.p == pytest.approx(ttest_rel(values, np.zeros(30)).pvalue)
+
+
+def test_sign_flips_of_groups_by_hand() -> None:
+    # Totals of +-3 +-1 +-1: 5, 3 (twice), 1, -1, -3 (twice), -5.
+    assert sign_flip_p(np.array([3.0, 1.0, 1.0])) == pytest.approx(2 / 8)
+    assert sign_flip_p(np.array([3.0, -1.0, 0.0, 1.0])) == pytest.approx(6 / 8)
+    assert sign_flip_p(np.array([-3.0, 1.0, 1.0])) == 1.0
+    assert sign_flip_p(np.array([4.0])) == 1.0
+    assert sign_flip_p(np.zeros(3)) == 1.0
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.integers(-4, 4), min_size=1, max_size=10))
+def test_the_law_of_sign_flips_is_that_of_all_of_them(sums: list[int]) -> None:
+    totals = [
+        sum(s * x for s, x in zip(signs, sums, strict=True))
+        for signs in product((-1, 1), repeat=len(sums))
+    ]
+    far = sum(abs(total) >= abs(sum(sums)) for total in totals)
+    assert sign_flip_p(np.array(sums, dtype=np.float64)) == pytest.approx(far / len(totals))
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 40), st.integers(0, 40))
+def test_sign_flips_of_single_pairs_are_mcnemars_test(first: int, second: int) -> None:
+    sums = np.concatenate([-np.ones(first), np.zeros(3), np.ones(second)])
+    pairs = first + second
+    expected = float(binomtest(second, pairs).pvalue) if pairs else 1.0
+    assert sign_flip_p(sums) == expected
+    # The law of groups of two is the same, and goes another way.
+    assert sign_flip_p(2.0 * sums) == pytest.approx(expected)
+
+
+def test_futures_of_one_scenario_do_not_count_as_so_many_scenarios() -> None:
+    """Ten futures of which each repeats the first leave p and interval as they were."""
+    a, b = _sides(60, 2, 8)
+    once = share_difference(a, b, _each(60))
+    often = share_difference(np.tile(a, 10), np.tile(b, 10), _each(60) * 10)
+    assert (often.n, often.only_a, often.only_b) == (600, 20, 80)
+    for p in (once.p, once.p_places, often.p, often.p_places):
+        assert p == pytest.approx(0.109375)
+    assert (often.low, often.high) == pytest.approx((once.low, once.high), abs=0.01)
+
+
+def test_places_and_scenarios_are_two_tests() -> None:
+    # Six scenarios of two places differ, all to the better; so of the scenarios 2 / 2^6, of the
+    # places 2 / 2^2. The third place does not differ.
+    scenarios = [f"ZAM_{place}-{i}_1_T-1" for place in "ABC" for i in range(3)]
+    b = np.array([1.0] * 6 + [0.0] * 3)
+    found = share_difference(np.zeros(9), b, scenarios)
+    assert found.places == 3
+    assert found.p == pytest.approx(2 / 64)
+    assert found.p_places == pytest.approx(2 / 4)
+
+
+def test_the_sign_flip_test_keeps_its_level_where_futures_agree() -> None:
+    """Futures of a scenario that all go one way: McNemar over episodes finds too much."""
+    draws, futures, rejected, naive = 400, 8, 0, 0
+    names = [f"s{i}" for i in range(15) for _ in range(futures)]
+    for _ in range(draws):
+        way = np.repeat(RNG.choice([-1.0, 0.0, 1.0], size=15), futures)
+        differences = way * (RNG.random(len(way)) < 0.7)
+        a, b = (differences < 0.0).astype(float), (differences > 0.0).astype(float)
+        p = share_difference(a, b, names).p
+        assert p is not None
+        rejected += p < 0.05
+        naive += binomtest(int(b.sum()), int(a.sum() + b.sum())).pvalue < 0.05
+    assert rejected / draws < 0.08
+    assert naive / draws > 0.3
 
 
 def _coverage(places: Sequence[str], differ: float, draws: int = 300) -> tuple[float, float]:

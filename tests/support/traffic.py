@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from zlib import crc32
 
 import numpy as np
 from dosplan_baseline.brake import BrakePlanner
@@ -13,7 +14,10 @@ from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.simulation.loop import run_episode
 from dosplan.simulation.traffic import Replay, RoadUsers, Traffic
 from dosplan.types import (
+    USER_HEADING,
     USER_VELOCITY,
+    USER_X,
+    USER_Y,
     Arm,
     Episode,
     FloatArray,
@@ -79,6 +83,59 @@ class LostTraffic(ShyTraffic):
         if len(ego) == 3:
             raise KeyError("way")
         return super().step(step, ego)
+
+
+@dataclass(frozen=True)
+class Wandering:
+    """How much speeds differ, m/s: the standard deviation."""
+
+    spread: float = 3.0
+
+
+class WanderingTraffic(Traffic):
+    """From the start on everyone drives straight on, at a speed that is drawn for the future.
+
+    The mean is the recorded speed. Nobody looks at the ego.
+    """
+
+    name = "wandering-v1"
+    settings = Wandering
+    has_futures = True
+
+    def __init__(
+        self, *, seed: int = 0, settings: Wandering = Wandering(), future: int = 0
+    ) -> None:
+        super().__init__(seed=seed, settings=settings, future=future)
+        self.spread = settings.spread
+
+    def begin(self, scenario: Scenario, first_step: int) -> Tracks:
+        past = Replay().begin(scenario, first_step)
+        random = np.random.default_rng([self.seed, self.future, crc32(scenario.id.encode())])
+        self.first_step, self.dt, self.past = first_step, scenario.dt, past
+        self.speed = random.normal(past.states[:, -1, USER_VELOCITY], self.spread)
+        return past
+
+    def step(self, step: int, ego: FloatArray) -> RoadUsers:
+        past = self.past
+        states = np.array(past.states[:, -1])
+        way = self.speed * (step - self.first_step) * self.dt
+        heading = states[:, USER_HEADING]
+        states[:, USER_X] += way * np.cos(heading)
+        states[:, USER_Y] += way * np.sin(heading)
+        states[:, USER_VELOCITY] = self.speed
+        return RoadUsers(past.ids, past.kinds, past.size, states, past.outlines)
+
+
+class ForgetfulTraffic(WanderingTraffic):
+    """Does not hand its future on."""
+
+    name = "forgetful-v1"
+    has_futures = True
+
+    def __init__(
+        self, *, seed: int = 0, settings: Wandering = Wandering(), future: int = 0
+    ) -> None:
+        super().__init__(seed=seed, settings=settings)
 
 
 @cache

@@ -27,6 +27,7 @@ from dosplan.types import (
     Arm,
     FloatArray,
     Scenario,
+    ScenarioFuture,
     Score,
     Signals,
     Tracks,
@@ -141,7 +142,9 @@ Takes = tuple[list[Take], str]
 """The takes, and a line that says what they are."""
 
 
-def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | None) -> Takes:
+def takes_of_run(
+    run: Path, scenario: str, arms: Sequence[Arm], source: str | None, future: int = 0
+) -> Takes:
     """The episodes of a scenario in a run.
 
     Args:
@@ -149,6 +152,7 @@ def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | No
         scenario: Id of the scenario.
         arms: Arms that are wanted; those that the run does not drive are left out.
         source: Where the scenarios lie now; where the run found them if None.
+        future: The continuation of its past that is wanted.
 
     Returns:
         A take for each arm.
@@ -157,13 +161,13 @@ def takes_of_run(run: Path, scenario: str, arms: Sequence[Arm], source: str | No
         FileError: The folder holds no such episode, or none that ever drove, or its scenario
             cannot be found or read, or it is not the one that was driven.
     """
-    found = find_drives(run, scenario, arms, source)
+    found = find_drives(run, scenario, arms, source, future)
     scene = next((drive.scenario for _, drive in found if drive is not None), None)
     if scene is None:
         raise FileError(f"nothing was driven of {scenario} in {run}: {found[0][0].error}")
     takes = {row.arm: _take(scene, row, drive) for row, drive in found}
     manifest = read_manifest(RunFolder(run))
-    title = _title(scenario, manifest.planner, manifest.predictor)
+    title = _title(ScenarioFuture(scenario, future).title, manifest.planner, manifest.predictor)
     return [takes[arm] for arm in ARMS_SIDE_BY_SIDE if arm in takes], title
 
 

@@ -19,7 +19,15 @@ from dosplan.report.html.thumbnails import thumbnail
 from dosplan.results.drive import Drive
 from dosplan.results.recording import Recording
 from dosplan.system.files import FileError
-from dosplan.types import STEP_SECONDS, CollisionClass, FloatArray, Outcome, Scenario, Score
+from dosplan.types import (
+    STEP_SECONDS,
+    CollisionClass,
+    FloatArray,
+    Outcome,
+    Scenario,
+    ScenarioFuture,
+    Score,
+)
 
 OUTCOME_WORDS: Final = {
     Outcome.SUCCESS: "success",
@@ -48,10 +56,10 @@ _LOOK_BACK: Final = (1.0, 2.0)  # s before a contact.
 
 @dataclass(frozen=True)
 class Case:
-    """A scenario with the results of each side.
+    """A scenario, in one of its futures, with the results of each side.
 
     Attributes:
-        scenario: Its id.
+        driven: Its id and the future.
         family: Where it comes from.
         road_kind: Its kind of road.
         change: What the second side changed: ``fixed``, ``broken``, ``both failed``, ``both
@@ -65,7 +73,7 @@ class Case:
         payload: What the player draws, packed; None where there is no recording.
     """
 
-    scenario: str
+    driven: ScenarioFuture
     family: str
     road_kind: str
     change: str
@@ -79,7 +87,7 @@ class Case:
 
 
 def examine(pairing: Pairing) -> Iterator[Case]:
-    """Examines every scenario of a pairing, those that differ first, then those that failed.
+    """Examines all episodes of a pairing, those that differ first, then those that failed.
 
     Args:
         pairing: What is set beside what.
@@ -87,10 +95,10 @@ def examine(pairing: Pairing) -> Iterator[Case]:
     Yields:
         A case each; at most ``MOST_EXAMINED`` with what recordings and scenario files tell.
     """
-    family = families(pairing.scenarios)
-    ranked = sorted(pairing.scenarios, key=lambda s: _urgency(_rows(pairing, s)))  # Stable.
-    for index, scenario in enumerate(ranked):
-        yield _case(pairing, scenario, family[scenario], index < MOST_EXAMINED)
+    family = families(list(dict.fromkeys(one.scenario for one in pairing.driven)))
+    ranked = sorted(pairing.driven, key=lambda one: _urgency(_rows(pairing, one)))  # Stable.
+    for index, driven in enumerate(ranked):
+        yield _case(pairing, driven, family[driven.scenario], index < MOST_EXAMINED)
 
 
 def change_of(rows: Sequence[Score]) -> str:
@@ -118,13 +126,13 @@ def _urgency(rows: Sequence[Score]) -> int:
     return changes.index(change_of(rows))
 
 
-def _rows(pairing: Pairing, scenario: str) -> tuple[Score, ...]:
-    return tuple(side.rows[scenario] for side in pairing.sides)
+def _rows(pairing: Pairing, driven: ScenarioFuture) -> tuple[Score, ...]:
+    return tuple(side.rows[driven] for side in pairing.sides)
 
 
-def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
-    rows = _rows(pairing, scenario)
-    recordings = [side.recording(scenario) if examined else None for side in pairing.sides]
+def _case(pairing: Pairing, driven: ScenarioFuture, family: str, examined: bool) -> Case:
+    rows, scenario = _rows(pairing, driven), driven.scenario
+    recordings = [side.recording(driven) if examined else None for side in pairing.sides]
     scene = pairing.scenes.load(scenario) if examined else None
     if scene is not None and not all(r.is_of(scene) for r in recordings if r is not None):
         scene = None
@@ -134,7 +142,7 @@ def _case(pairing: Pairing, scenario: str, family: str, examined: bool) -> Case:
     ]
     met = tuple(None if drive is None else _met(drive) for drive in drives)
     return Case(
-        scenario=scenario,
+        driven=driven,
         family=family,
         road_kind=pairing.scenes.road_kind(scenario, scene),
         change=change_of(rows),

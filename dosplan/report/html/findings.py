@@ -79,16 +79,16 @@ def answer(pairing: Pairing) -> str:
         Text.
     """
     last, reached = pairing.sides[-1], [_succeeded(side) for side in pairing.sides]
-    if not pairing.scenarios:
+    if not pairing.driven:
         return "Nothing was driven."
     if pairing.comparison is None:
-        return f"Success {_name(last.name)} in {reached[-1]} of {len(last.rows)} scenarios."
+        return f"Success {_name(last.name)} in {reached[-1]} of {len(last.rows)} {pairing.unit}."
     success = pairing.comparison.differences["success"]
     found = "No clear difference"
     if _beyond_chance(success):
         found = f"{'Better' if success.difference > 0.0 else 'Worse'} {_name(last.name)}"
     return (
-        f"{found}: success in {reached[1]} of {success.n} scenarios {_name(last.name)}, "
+        f"{found}: success in {reached[1]} of {success.n} {pairing.unit} {_name(last.name)}, "
         f"in {reached[0]} {_name(pairing.sides[0].name)}."
     )
 
@@ -102,7 +102,7 @@ def grounds(pairing: Pairing) -> list[str]:
     Returns:
         Sentences.
     """
-    if not pairing.scenarios:
+    if not pairing.driven:
         return ["No scenario is usable."]
     sentences = []
     if pairing.comparison is not None:

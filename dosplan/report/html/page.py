@@ -97,13 +97,17 @@ def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
         "title": pairing.title,
         "names": names,
         "paired": pairing.comparison is not None,
-        "n": len(cases),
+        "n": len({case.driven.scenario for case in cases}),
+        "futures": pairing.futures,
         "unusable": pairing.unusable,
-        "unusable_title": unusable_title(pairing.unusable, len(cases) + len(pairing.unusable)),
+        "unusable_title": unusable_title(
+            pairing.unusable,
+            len({case.driven.scenario for case in cases}) + len(pairing.unusable),
+        ),
         "answer": findings.answer(pairing),
         "grounds": findings.grounds(pairing),
         "shortcuts": findings.shortcuts(cases, names),
-        "places": len({place_of(case.scenario) for case in cases}),
+        "places": len({place_of(case.driven.scenario) for case in cases}),
         "headline": findings.headline(pairing, cases),
         "groups": group_tables(cases, len(names)),
         "coverage": [
@@ -167,8 +171,8 @@ def _notes(examined: Sequence[tuple[Pairing, Sequence[Case]]]) -> list[str]:
             )
         if len(cases) > MOST_EXAMINED:
             notes.append(
-                f"{MOST_EXAMINED} of {len(cases)} scenarios can be played, those that differ or "
-                "failed first; coverage and cycle times are over them."
+                f"{MOST_EXAMINED} of {len(cases)} {pairing.unit} can be played, those that differ "
+                "or failed first; coverage and cycle times are over them."
             )
     return list(dict.fromkeys(notes))
 
@@ -182,7 +186,10 @@ def _data(examined: Sequence[tuple[Pairing, Sequence[Case]]], room: int) -> str:
         "thumbnail": [WIDTH, HEIGHT],
         "faster": FASTER,
         "sections": [
-            {"names": [side.name for side in pairing.sides], "cases": list(map(_row, cases))}
+            {
+                "names": [side.name for side in pairing.sides],
+                "cases": [_row(case, pairing.futures > 1) for case in cases],
+            }
             for pairing, cases in examined
         ],
     }
@@ -196,9 +203,10 @@ def _data(examined: Sequence[tuple[Pairing, Sequence[Case]]], room: int) -> str:
     return _json(data)
 
 
-def _row(case: Case) -> dict[str, Any]:
+def _row(case: Case, several: bool) -> dict[str, Any]:
     return {
-        "id": case.scenario,
+        "id": case.driven.scenario,
+        "future": case.driven.future if several else None,
         "family": case.family,
         "road": case.road_kind,
         "change": case.change,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +20,7 @@ from dosplan.results.rows import read_run
 from dosplan.results.unusable import unusable_scenarios
 from dosplan.scenario.sources.catalogue import source_text
 from dosplan.system.files import write_text
-from dosplan.types import Arm
+from dosplan.types import Arm, ScenarioFuture, Score
 
 _ARM_TEXTS: Final = {
     Arm.WITH_DOS: "With DOS, the planner keeps clear of dynamic occupancy sets: for every road "
@@ -46,7 +46,7 @@ def write_report(run: Path, out: Path | None = None, source: str | None = None) 
     manifest, rows = read_run(run)
     folder = RunFolder(run)
     sides = tuple(
-        Side(ARM_TITLES[arm], folder, {row.scenario: row for row in rows if row.arm is arm}, arm)
+        Side(ARM_TITLES[arm], folder, _by_future(row for row in rows if row.arm is arm), arm)
         for arm in ARMS_SIDE_BY_SIDE
         if arm in manifest.config.arms
     )
@@ -77,7 +77,7 @@ def write_comparison(specs: Sequence[str], out: Path) -> Path:
     for pair in pairs:
         manifests = [read_manifest(RunFolder(side.path)) for side in pair]
         sides = tuple(
-            Side(letter, RunFolder(side.path), {row.scenario: row for row in side.rows}, side.arm)
+            Side(letter, RunFolder(side.path), _by_future(side.rows), side.arm)
             for letter, side in zip("AB", pair, strict=True)
         )
         title = ", ".join(f"{side.name}: {ARM_TITLES[side.arm]}" for side in sides)
@@ -90,6 +90,10 @@ def write_comparison(specs: Sequence[str], out: Path) -> Path:
     lead = _lead({side.arm for pair in pairs for side in pair})
     write_text(out, build_page("What changed from A to B", facts, pairings, links, lead))
     return out
+
+
+def _by_future(rows: Iterable[Score]) -> dict[ScenarioFuture, Score]:
+    return {row.scenario_future: row for row in rows}
 
 
 def _lead(arms: Container[Arm]) -> str:
@@ -106,12 +110,12 @@ def _pairing(
         comparison = compare_rows([*a.rows.values()], [*b.rows.values()], a.name, b.name)
     unusable = unusable_scenarios(row for side in sides for row in side.rows.values())
     left_out = {one.scenario for one in unusable}
-    usable = [scenario for scenario in sides[0].rows if scenario not in left_out]
+    usable = [driven for driven in sides[0].rows if driven.scenario not in left_out]
     return Pairing(
         title=title,
         sides=tuple(replace(side, rows={s: side.rows[s] for s in usable}) for side in sides),
         comparison=comparison,
-        scenarios=tuple(usable),
+        driven=tuple(usable),
         unusable=unusable,
         scenes=find_scenes(
             manifest.config.source if source is None else source, cached=manifest.config.cache
@@ -136,6 +140,7 @@ def _facts(manifest: RunManifest) -> dict[str, str]:
         "Predictor": manifest.predictor,
         "Sets and predictions": _settings(manifest.settings.get("predictor", {})),
         "Traffic": manifest.traffic,
+        "Futures": str(config.futures) if config.futures > 1 else "",
         "Options": ", ".join(f"{name} = {value}" for name, value in options.items()),
         "Scenarios": f"{len(manifest.scenarios)} of {source_text(config.source)}",
         "Seed": str(config.seed),

@@ -18,11 +18,13 @@ document.getElementById("theme").addEventListener("click", () => {
   setTheme(root.dataset.theme === "dark" ? "light" : "dark");
 });
 
-// A link to an episode: report.html#SCENARIO.
+// A link to an episode: report.html#SCENARIO, or #SCENARIO, future K.
 function openLinked() {
   const wanted = decodeURIComponent(location.hash.slice(1));
   for (const section of data.sections) {
-    const index = section.cases.findIndex((row) => row.id === wanted && row.episode);
+    const played = (test) => section.cases.findIndex((row) => row.episode && test(row));
+    const named = played((row) => nameOf(row) === wanted);
+    const index = named >= 0 ? named : played((row) => row.id === wanted);
     if (index >= 0) {
       player.open(section.cases, index, section.names);
       return;

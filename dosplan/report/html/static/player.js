@@ -34,11 +34,11 @@ function makePlayer(dialog, data) {
     layerBoxes();
     frameView();
     setPlaying(!matchMedia("(prefers-reduced-motion: reduce)").matches);
-    history.replaceState(null, "", `#${encodeURIComponent(row.id)}`);
+    history.replaceState(null, "", `#${encodeURIComponent(nameOf(row))}`);
   }
 
   function describe(row) {
-    find(".top h2").textContent = row.id;
+    find(".top h2").textContent = nameOf(row);
     const gone = state.episode.hasScene ? "" : " · drawn without the map: its scenario file is gone, or not the one that was driven";
     find(".tags").textContent = `${row.road} · ${row.family} · ${changeWords(row, state.names)}${gone}`;
     find(".sides").replaceChildren(...row.sides.map((side, index) => {

@@ -4,6 +4,37 @@ function element(name, properties = {}) {
   return Object.assign(document.createElement(name), properties);
 }
 
+// A scenario; with its future where there are several.
+function nameOf(row) {
+  return row.future === null ? row.id : `${row.id}, future ${row.future}`;
+}
+
+// The cases of each scenario as one line: that of its first case, which knows all of them.
+function foldFutures(cases) {
+  const lines = new Map();
+  cases.forEach((row) => {
+    if (!lines.has(row.id)) lines.set(row.id, Object.assign(row, { futures: [] }));
+    lines.get(row.id).futures.push(row);
+  });
+  lines.forEach((row) => row.futures.sort((a, b) => a.future - b.future));
+  return [...lines.values()];
+}
+
+// A square for each future of a scenario, in the colour of its outcome, which opens it.
+function outcomeSquares(line, side, data) {
+  const squares = element("span", { className: "futures" });
+  squares.append(...line.futures.map((row) => {
+    const { outcome, fault } = row.sides[side];
+    const title = `future ${row.future}: ${data.outcomes[outcome]}${fault ? ", at fault" : ""}`;
+    const square = element("button", { type: "button", title, disabled: !row.episode });
+    square.append(element("i", { className: outcome }));
+    square.setAttribute("aria-label", title);
+    square.dataset.future = row.future;
+    return square;
+  }));
+  return squares;
+}
+
 function outcomeBadge(side, data) {
   const badge = element("span", { className: "outcome" });
   badge.append(element("i", { className: side.outcome }), data.outcomes[side.outcome]);
@@ -38,7 +69,7 @@ function columnsOf(section, data) {
     { title: "Road", value: (row) => row.road, cell: (row) => row.road, className: "road" },
     ...each((name, index) => ({
       title: name, side: index, value: (row) => Object.keys(data.outcomes).indexOf(row.sides[index].outcome),
-      cell: (row) => outcomeBadge(row.sides[index], data),
+      cell: (row) => (row.future === null ? outcomeBadge(row.sides[index], data) : outcomeSquares(row, index, data)),
     })),
     { title: "Why", value: (row) => whyOf(row, section), cell: (row) => whyOf(row, section), className: "why" },
     ...each((name, index) => ({
@@ -103,7 +134,8 @@ function makeTable(root, section, data, open) {
   const body = root.querySelector("table.cases tbody");
   const columns = columnsOf(section, data);
   const sorting = { column: null, down: false };
-  let shown = section.cases;
+  const folded = foldFutures(section.cases);
+  let shown = folded;
 
   const alone = ["", "failed"];
   const choices = section.names.length > 1 ? CHANGES : CHANGES.filter(([key]) => alone.includes(key));
@@ -131,14 +163,23 @@ function makeTable(root, section, data, open) {
   });
   head.replaceChildren(headings);
 
-  const lines = new Map(section.cases.map((row) => {
+  // The arrows of the player lead through all futures of what is listed.
+  function play(row) {
+    const list = shown.flatMap((line) => line.futures);
+    if (row.episode) open(list, list.indexOf(row), section.names);
+  }
+
+  const lines = new Map(folded.map((row) => {
     const line = element("tr");
     columns.forEach((column) => {
       const cell = element("td", { className: column.number ? "number" : column.className || "" });
       cell.append(column.cell(row));
       line.append(cell);
     });
-    line.addEventListener("click", () => row.episode && open(shown, shown.indexOf(row), section.names));
+    line.addEventListener("click", ({ target }) => {
+      const square = target.closest("[data-future]");
+      play(square ? row.futures.find((one) => one.future === Number(square.dataset.future)) : row);
+    });
     return [row, line];
   }));
 
@@ -153,7 +194,7 @@ function makeTable(root, section, data, open) {
   }
 
   function show() {
-    shown = section.cases.filter(keeps);
+    shown = folded.filter((line) => line.futures.some(keeps));
     if (sorting.column !== null) {
       const { value } = columns[sorting.column];
       const sign = sorting.down ? -1 : 1;
@@ -168,7 +209,7 @@ function makeTable(root, section, data, open) {
       else cell.removeAttribute("aria-sort");
     });
     body.replaceChildren(...shown.map((row) => lines.get(row)));
-    form.querySelector("output").textContent = `${shown.length} of ${section.cases.length}`;
+    form.querySelector("output").textContent = `${shown.length} of ${folded.length}`;
   }
 
   // Ways from the result and from a group to their scenarios; they clear what was asked for before.

@@ -30,6 +30,9 @@ from dosplan.types import (
 RIM: Final = "#15181c"
 """Around every lamp, on a light page and on a dark one."""
 
+SIGN_RED: Final = "#c1121f"
+SIGN_YELLOW: Final = "#ffcc00"
+
 _RED, _YELLOW, _GREEN = "#e8132b", "#ffcc00", "#00c17a"  # Far apart in brightness, too.
 _LAMPS: Final = {
     LightColour.RED: (_RED, _RED),
@@ -74,7 +77,8 @@ _PAIRS: Final = {
 
 _APART: Final = 0.15  # m; half the distance of two lines.
 _SAME: Final = 0.05  # m; lines whose points agree as well as this are one.
-_NEAR: Final = 8.0  # m; the same sign again within this, beside the other lane, is left out.
+_NEAR: Final = 8.0  # m; the same sign again within this, beside the other lane, is left out,
+_NEAR_LIMIT: Final = 25.0  # or within this, the same limit: maps name it for every lanelet.
 _DRAWN: Final = (
     SignRule.STOP, SignRule.GIVE_WAY, SignRule.PRIORITY, SignRule.SPEED_LIMIT, SignRule.SPEED_ZONE
 )  # fmt: skip
@@ -156,10 +160,17 @@ def lines(road_map: RoadMap) -> list[Line]:
 
     Returns:
         A line for each bound, one alone where two lanelets share it, what is painted before what
-        is not.
+        is not. Inside an intersection, where lanelets cross, and of crosswalks, which have their
+        stripes, only what is painted.
     """
     found: dict[bytes, Line] = {}
-    bounds = [bound for lanelet in road_map.lanelets for bound in _bounds(lanelet)]
+    inside = {name for intersection in road_map.intersections for name in intersection.inside}
+    bounds = [
+        bound
+        for lanelet in road_map.lanelets
+        for bound in _bounds(lanelet)
+        if bound.look is not Look.BOUND or not (lanelet.id in inside or lanelet.is_crosswalk)
+    ]
     for line in sorted(bounds, key=lambda line: list(Look).index(line.look)):
         whole = np.rint(line.points / _SAME).astype(np.int64)
         found.setdefault(min(whole.tobytes(), whole[::-1].tobytes()), line)
@@ -215,9 +226,10 @@ def plates(road_map: RoadMap) -> list[Plate]:
         if sign.rule not in _DRAWN or place is None:
             continue
         plate = Plate(sign.rule, place, *_limit(sign))
+        near = _NEAR_LIMIT if plate.text else _NEAR
         if not any(
             (one.rule, one.text) == (plate.rule, plate.text)
-            and np.linalg.norm(one.place - place) < _NEAR
+            and np.linalg.norm(one.place - place) < near
             for one in found
         ):
             found.append(plate)

@@ -27,16 +27,29 @@ from dosplan.report.html.player import encode_episode
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.html.scenarios import families
 from dosplan.report.html.write import write_report
+from dosplan.report.road_paint import LAMP_COLOURS, SIGN_RED
 from dosplan.results.drive import Drive
 from dosplan.results.markdown import ARMS_SIDE_BY_SIDE
 from dosplan.results.recording import Recording
 from dosplan.results.rows import row_line
 from dosplan.scenario.synthetic import steady_tracks
 from dosplan.scoring.score import failed_score
+from dosplan.simulation.loop import run_episode
 from dosplan.simulation.traffic import Replay, Traffic
 from dosplan.system.files import FileError, write_json
-from dosplan.types import Arm, EpisodeEnd, EpisodeKey, FloatArray, Lanelet, Outcome, Score
-from tests.support.plugins import PLUGINS
+from dosplan.types import (
+    COLOURS,
+    Arm,
+    EpisodeEnd,
+    EpisodeKey,
+    FloatArray,
+    Lanelet,
+    LightColour,
+    Outcome,
+    Score,
+)
+from tests.support.lights import STOP_X, TURNS_GREEN, regulated_scenario
+from tests.support.plugins import PLUGINS, CoastPlanner, GrowingPredictor
 from tests.support.scenes import (
     Goal,
     Problem,
@@ -281,6 +294,52 @@ def test_lanelets_that_are_no_road_are_drawn_apart() -> None:
     assert plain["offRoad"] == []
     assert len(drawn["offRoad"]) == 1
     assert drawn["road"] == plain["road"]
+
+
+def test_what_regulates_is_in_the_page() -> None:
+    scenario = regulated_scenario()
+    drive = Drive.of(
+        scenario, run_episode(scenario, CoastPlanner(), GrowingPredictor(), Arm.WITH_DOS)
+    )
+    payload = encode_episode(scenario, [drive, drive])
+    x0 = np.rint(drive.ego[0, 0])
+    assert {look: len(found) for look, found in payload["paint"].items()} == {
+        "solid": 1,
+        "dashed": 1,
+    }
+    assert len(payload["lines"]) == 1
+    assert [line[0] * METRE + x0 for line in payload["stops"]] == pytest.approx([STOP_X] * 2)
+    ((width, *_),) = payload["crosswalks"]
+    assert width * METRE == pytest.approx(4.0)
+    assert [(sign[0], *sign[3:]) for sign in payload["signs"]] == [
+        ("speed_limit", "50", "km/h"),
+        ("stop", "", ""),
+    ]
+    red, green = (COLOURS.index(colour) for colour in (LightColour.RED, LightColour.GREEN))
+    # Only the steps of a change are written.
+    assert [(lamp["from"], lamp["shown"]) for lamp in payload["lights"]] == [
+        ([0, TURNS_GREEN], [red, green]),
+        ([0], [green]),
+        ([0], [red]),
+    ]
+    assert not any("sides" in lamp for lamp in payload["lights"])
+    assert pack(payload)
+
+
+def test_lights_that_were_others_for_a_side_are_its_own() -> None:
+    scenario = regulated_scenario()
+    episode = run_episode(scenario, CoastPlanner(), GrowingPredictor(), Arm.WITH_DOS)
+    dark = replace(scenario.signals, colours=np.zeros_like(scenario.signals.colours))
+    drives = [Drive.of(scenario, replace(episode, signals=signals)) for signals in (None, dark)]
+    lights = encode_episode(scenario, drives)["lights"]
+    assert [lamp["sides"] for lamp in lights] == [[0], [0], [0], [1], [1]]
+    assert {tuple(lamp["shown"]) for lamp in lights if lamp["sides"] == [1]} == {(0,)}
+
+
+def test_lamps_and_signs_have_one_colour_in_pages_and_films(driven: Path) -> None:
+    data = _data((driven / "report.html").read_text(encoding="utf-8"))
+    assert [tuple(pair) for pair in data["lamps"]] == list(LAMP_COLOURS)
+    assert data["signs"]["red"] == SIGN_RED
 
 
 def test_what_reading_put_right_stands_at_the_scenario(tmp_path: Path) -> None:

@@ -18,7 +18,16 @@ from dosplan.report.road_paint import (
     units,
 )
 from dosplan.scenario.synthetic import LANE_WIDTH
-from dosplan.types import COLOURS, LightColour, LineMarking, RoadMap, SignRule, TrafficSign
+from dosplan.types import (
+    COLOURS,
+    Incoming,
+    Intersection,
+    LightColour,
+    LineMarking,
+    RoadMap,
+    SignRule,
+    TrafficSign,
+)
 from tests.support.lights import STOP_X, TURNS_GREEN, regulated_scenario
 
 
@@ -31,7 +40,7 @@ def test_a_bound_of_two_lanelets_is_one_line_and_the_painted_one_counts(road_map
     # The other lane does not say what its right bound is, and it may be listed first.
     swapped = replace(road_map, lanelets=road_map.lanelets[::-1])
     for one in (road_map, swapped):
-        found = {(line.points[0, 1], line.look) for line in lines(one) if len(line.points) > 2}
+        found = {(line.points[0, 1], line.look) for line in lines(one)}
         assert found == {
             (-0.5 * LANE_WIDTH, Look.SOLID),
             (0.5 * LANE_WIDTH, Look.DASHED),
@@ -119,3 +128,13 @@ def test_limits_of_the_usa_are_in_miles_per_hour(road_map: RoadMap) -> None:
 def test_signs_that_say_nothing_of_speed_or_priority_are_left_out(road_map: RoadMap) -> None:
     sign = replace(road_map.signs[0], rule=SignRule.OTHER)
     assert plates(replace(road_map, signs=(sign,))) == []
+
+
+def test_inside_an_intersection_only_paint_is_drawn(road_map: RoadMap) -> None:
+    crossing = Intersection(1, (Incoming(1, (1,), straight=(2,)),))
+    before, after = (
+        [line.look for line in lines(replace(road_map, intersections=found))]
+        for found in ((), (crossing,))
+    )
+    assert before.count(Look.BOUND) - after.count(Look.BOUND) == 1
+    assert Look.DASHED in after

@@ -17,6 +17,8 @@ from matplotlib.path import Path as Outline
 from dosplan.report.road_paint import (
     LAMP_COLOURS,
     RIM,
+    SIGN_RED,
+    SIGN_YELLOW,
     Crosswalk,
     Lamp,
     Look,
@@ -46,18 +48,17 @@ _STYLES: Final[Mapping[Look, Mapping[str, Any]]] = MappingProxyType(
 _STOP: Final = 2.6  # Points; width of a stop line.
 _STRIPE: Final = 0.5  # m; width of a stripe of a crosswalk, and of the gap beside it.
 
-_RED, _YELLOW, _INK = "#c1121f", "#ffcc00", "#222222"
 _OCTAGON: Final = Outline.unit_regular_polygon(8).deepcopy()
 _OCTAGON.vertices = _OCTAGON.vertices @ np.array(
     [[np.cos(np.pi / 8), np.sin(np.pi / 8)], [-np.sin(np.pi / 8), np.cos(np.pi / 8)]]
 )
 _SIGNS: Final[Mapping[SignRule, Mapping[str, Any]]] = MappingProxyType(
     {
-        SignRule.STOP: {"marker": _OCTAGON, "color": _RED, "markeredgecolor": "white"},
-        SignRule.GIVE_WAY: {"marker": "v", "color": "white", "markeredgecolor": _RED},
-        SignRule.PRIORITY: {"marker": "D", "color": _YELLOW, "markeredgecolor": "white"},
-        SignRule.SPEED_LIMIT: {"marker": "o", "color": "white", "markeredgecolor": _RED},
-        SignRule.SPEED_ZONE: {"marker": "o", "color": "white", "markeredgecolor": _RED},
+        SignRule.STOP: {"marker": _OCTAGON, "color": SIGN_RED, "markeredgecolor": "white"},
+        SignRule.GIVE_WAY: {"marker": "v", "color": "white", "markeredgecolor": SIGN_RED},
+        SignRule.PRIORITY: {"marker": "D", "color": SIGN_YELLOW, "markeredgecolor": "white"},
+        SignRule.SPEED_LIMIT: {"marker": "o", "color": "white", "markeredgecolor": SIGN_RED},
+        SignRule.SPEED_ZONE: {"marker": "o", "color": "white", "markeredgecolor": SIGN_RED},
     }
 )
 """Pictographs of the Vienna Convention on Road Signs and Signals (1968)."""
@@ -160,6 +161,6 @@ def _draw_plate(axes: Axes, plate: Plate, zorder: float) -> None:
     if plate.text:
         axes.annotate(
             plate.text, (plate.place[0], plate.place[1]), ha="center", va="center_baseline",
-            size=_NUMBER, weight="bold", color=_INK, zorder=zorder, annotation_clip=True,
+            size=_NUMBER, weight="bold", color=RIM, zorder=zorder, annotation_clip=True,
             clip_on=True,
         )  # fmt: skip

@@ -30,6 +30,7 @@ from dosplan.report.html.figures import coverage_plot, histogram
 from dosplan.report.html.player import KINDS
 from dosplan.report.html.sides import Pairing
 from dosplan.report.html.thumbnails import HEIGHT, WIDTH
+from dosplan.report.road_paint import LAMP_COLOURS, RIM, SIGN_RED, SIGN_YELLOW
 from dosplan.results.unusable import unusable_title
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Metric
@@ -182,6 +183,8 @@ def _data(examined: Sequence[tuple[Pairing, Sequence[Case]]], room: int) -> str:
     data: dict[str, Any] = {
         "kinds": [[kind.value, KIND_COLOURS[kind]] for kind in KINDS],
         "goal": GOAL_COLOUR,
+        "lamps": LAMP_COLOURS,
+        "signs": {"rim": RIM, "red": SIGN_RED, "yellow": SIGN_YELLOW},
         "outcomes": {outcome.value: word for outcome, word in OUTCOME_WORDS.items()},
         "thumbnail": [WIDTH, HEIGHT],
         "faster": FASTER,

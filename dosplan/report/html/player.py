@@ -8,6 +8,7 @@ what is shown.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -19,6 +20,7 @@ from shapely.geometry import MultiPolygon, Polygon
 from dosplan.geometry import areas, lanelets_off_road
 from dosplan.report.html.codec import METRE, RADIAN, SPEED, differences, polyline
 from dosplan.report.html.predictions import prediction_blocks
+from dosplan.report.road_paint import Look, crosswalks, lamps, lines, plates, stop_lines
 from dosplan.results.drive import Drive
 from dosplan.types import (
     EGO_VELOCITY,
@@ -67,6 +69,7 @@ def encode_episode(scene: Scenario | None, drives: Sequence[Drive | None]) -> di
     }
     if scene is not None:
         payload |= _encode_map(scene, driven, origin)
+        payload["lights"] = _encode_lights(scene, drives, origin)
     others = _encode_others(drives, origin)
     if others.users is not None:
         payload["users"] = others.users
@@ -180,23 +183,80 @@ def _encode_users(
 
 def _encode_map(scene: Scenario, drives: Sequence[Drive], origin: FloatArray) -> dict[str, Any]:
     box = shapely.box(*_bounds(drives, MAP_METRES))
-    lines: dict[tuple[int, ...], list[int]] = {}
-    for lanelet in scene.road_map.lanelets:
-        for bound in (lanelet.left, lanelet.right):
-            clipped = shapely.intersection(shapely.LineString(bound), box)
-            for part in shapely.get_parts(shapely.simplify(clipped, _TOLERANCE)):
-                if isinstance(part, shapely.LineString) and not part.is_empty:
-                    points = np.asarray(part.coords)
-                    # The bound that two lanelets share is drawn once, whichever way it runs.
-                    key = min(tuple(polyline(p - origin)) for p in (points, points[::-1]))
-                    lines[key] = list(key)
+    road_map = scene.road_map
+    looks: dict[tuple[int, ...], Look] = {}
+    for line in lines(road_map):
+        for points in _clipped(line.points, box):
+            # The bound that two lanelets share is drawn once, whichever way it runs.
+            key = min(tuple(polyline(p - origin)) for p in (points, points[::-1]))
+            looks.setdefault(key, line.look)
+    painted: dict[str, list[list[int]]] = {}
+    for key, look in looks.items():
+        painted.setdefault(look.value, []).append(list(key))
     goals = [goal.region for goal in scene.task.goals if goal.region is not None]
     return {
-        "road": outlines(shapely.intersection(scene.road_map.drivable, box), origin),
-        "offRoad": outlines(shapely.intersection(lanelets_off_road(scene.road_map), box), origin),
-        "lines": list(lines.values()),
+        "road": outlines(shapely.intersection(road_map.drivable, box), origin),
+        "offRoad": outlines(shapely.intersection(lanelets_off_road(road_map), box), origin),
+        "lines": painted.pop(Look.BOUND.value, []),
         "goals": [ring for goal in goals for ring in outlines(goal.intersection(box), origin)],
+        "paint": painted,
+        "crosswalks": [
+            [round(walk.width / METRE), *polyline(points - origin)]
+            for walk in crosswalks(road_map)
+            for points in _clipped(walk.centre, box)
+        ],
+        "stops": [
+            polyline(points - origin)
+            for ends in stop_lines(road_map)
+            for points in _clipped(ends, box)
+        ],
+        "signs": [
+            [plate.rule.value, *polyline([plate.place - origin]), plate.text, plate.unit]
+            for plate in plates(road_map)
+            if shapely.contains_xy(box, *plate.place)
+        ],
     }
+
+
+def _clipped(points: FloatArray, box: Polygon) -> list[FloatArray]:
+    """The parts of a line in a box, of as few points as draw it."""
+    inside = shapely.intersection(shapely.LineString(points), box)
+    return [
+        np.asarray(part.coords)
+        for part in shapely.get_parts(shapely.simplify(inside, _TOLERANCE))
+        if isinstance(part, shapely.LineString) and not part.is_empty
+    ]
+
+
+def _encode_lights(
+    scene: Scenario, drives: Sequence[Drive | None], origin: FloatArray
+) -> list[dict[str, Any]]:
+    """Writes the lamps by the steps at which they change; sides with the same lights share them."""
+    there = [(side, drive) for side, drive in enumerate(drives) if drive is not None]
+    driven = [drive for _, drive in there]
+    box, (first, last) = shapely.box(*_bounds(driven, MAP_METRES)), _window(driven)
+    sides: dict[str, list[int]] = {}
+    for side, drive in there:
+        found = []
+        for lamp in lamps(scene.road_map, drive.recording.signals_in(scene)):
+            if not shapely.contains_xy(box, *lamp.place):
+                continue
+            shown = np.array([lamp.at(step) for step in range(first, last + 1)])
+            changes = [0, *(np.flatnonzero(np.diff(shown)) + 1).tolist()]
+            found.append(
+                {
+                    "at": polyline([lamp.place - origin]),
+                    "from": [first + change for change in changes],
+                    "shown": shown[changes].tolist(),
+                }
+            )
+        sides.setdefault(json.dumps(found), []).append(side)
+    shared = len(sides) == 1
+    return [
+        lamp if shared else lamp | {"sides": members}
+        for text, members in sides.items()
+        for lamp in json.loads(text)
+    ]
 
 
 def outlines(area: shapely.Geometry, origin: FloatArray) -> list[list[int]]:

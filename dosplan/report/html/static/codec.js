@@ -40,6 +40,11 @@ function decodeEpisode(packed) {
     offRoad: lines("offRoad"),
     lines: lines("lines"),
     goals: lines("goals"),
+    paint: Object.fromEntries(Object.entries(packed.paint || {}).map(([look, found]) => [look, found.map(points)])),
+    crosswalks: (packed.crosswalks || []).map(([width, ...line]) => ({ width: width * GRAIN.metre, line: points(line) })),
+    stops: lines("stops"),
+    signs: (packed.signs || []).map(([rule, x, y, text, unit]) => ({ rule, at: points([x, y])[0], text, unit })),
+    lights: (packed.lights || []).map((lamp) => ({ ...lamp, at: points(lamp.at)[0] })),
     users: (packed.users || []).map((user) => ({
       ...user,
       ...decodePath(user),

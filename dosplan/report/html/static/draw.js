@@ -27,6 +27,7 @@ function drawScene(context, size, view, episode, step, layers, palette) {
   );
   const pixel = 1 / view.scale;
   drawRoad(context, episode, pixel, palette);
+  if (layers.rules) episode.signs.forEach((sign) => drawSign(context, sign, pixel, palette));
   if (layers.sets) drawSets(context, episode, step, layers, pixel, palette);
   episode.users.forEach((user) => {
     // A road user that reacts was driven once for each side.
@@ -37,6 +38,12 @@ function drawScene(context, size, view, episode, step, layers, palette) {
   episode.sides.forEach((side, index) => {
     if (side && layers.sides[index]) drawSide(context, episode, side, index, step, layers, pixel, palette);
   });
+  if (layers.rules) {
+    // Above the bodies: whoever drives over a stop line does not hide its light.
+    episode.lights
+      .filter((lamp) => !lamp.sides || lamp.sides.some((side) => layers.sides[side]))
+      .forEach((lamp) => drawLamp(context, lamp, step, pixel, palette));
+  }
   drawBar(context, size, view, palette);
 }
 
@@ -59,11 +66,7 @@ function drawRoad(context, episode, pixel, palette) {
   episode.road.forEach((ring) => { trace(context, ring); context.closePath(); });
   context.fillStyle = palette.road;
   context.fill("evenodd");
-  context.beginPath();
-  episode.lines.forEach((line) => trace(context, line));
-  context.strokeStyle = palette.marking;
-  context.lineWidth = Math.max(0.12, pixel);
-  context.stroke();
+  drawPaint(context, episode, pixel, palette);
   context.beginPath();
   episode.goals.forEach((ring) => { trace(context, ring); context.closePath(); });
   context.fillStyle = palette.goal;
@@ -73,6 +76,77 @@ function drawRoad(context, episode, pixel, palette) {
   context.strokeStyle = palette.goal;
   context.lineWidth = 1.5 * pixel;
   context.stroke();
+}
+
+// Width in metres and in pixels, whichever is more, and dashes in metres, of each kind of line.
+const LOOKS = [
+  ["kerb", 0.15, 1, []], ["dashed", 0.15, 1.4, [3, 3]], ["broadDashed", 0.3, 2.6, [3, 3]],
+  ["solid", 0.15, 1.4, []], ["broadSolid", 0.3, 2.6, []],
+];
+
+function drawPaint(context, episode, pixel, palette) {
+  const draw = (found, colour, width, dashes = []) => {
+    context.beginPath();
+    found.forEach((line) => trace(context, line));
+    context.setLineDash(dashes);
+    context.strokeStyle = colour;
+    context.lineWidth = width;
+    context.stroke();
+    context.setLineDash([]);
+  };
+  context.lineCap = "butt";
+  draw(episode.lines, palette.marking, Math.max(0.08, pixel));
+  LOOKS.forEach(([look, metres, pixels, dashes]) => {
+    draw(episode.paint[look] || [], look === "kerb" ? palette.kerb : palette.paint, Math.max(metres, pixels * pixel), dashes);
+  });
+  // A broad stroke in short dashes: the stripes lie across the pedestrians' way.
+  episode.crosswalks.forEach(({ width, line }) => draw([line], palette.paint, width, [0.5, 0.5]));
+  draw(episode.stops, palette.paint, Math.max(0.4, 2.6 * pixel));
+}
+
+function drawLamp(context, lamp, step, pixel, palette) {
+  const [disc, core] = palette.lamps[lamp.shown[Math.max(latest(lamp.from, step), 0)]];
+  for (const [colour, radius] of [[palette.signs.rim, 6], [disc, 4.4], [core, 2.2]]) {
+    context.beginPath();
+    context.arc(...lamp.at, radius * pixel, 0, 2 * Math.PI);
+    context.fillStyle = colour;
+    context.fill();
+  }
+}
+
+// Corners of a sign in pixels from its middle, y down; a speed limit is a circle.
+const SHAPES = {
+  stop: [-3, -1, 1, 3, 5, 7, 9, 11].map((i) => [8 * Math.cos((i * Math.PI) / 8), 8 * Math.sin((i * Math.PI) / 8)]),
+  give_way: [[-8, -6], [8, -6], [0, 8]],
+  priority: [[0, -7.5], [7.5, 0], [0, 7.5], [-7.5, 0]],
+};
+
+function drawSign(context, sign, pixel, palette) {
+  const { red, yellow, rim } = palette.signs;
+  context.save();
+  context.translate(...sign.at);
+  context.scale(pixel, -pixel);
+  context.beginPath();
+  if (SHAPES[sign.rule]) {
+    trace(context, SHAPES[sign.rule]);
+    context.closePath();
+  } else {
+    context.arc(0, 0, 8, 0, 2 * Math.PI);
+  }
+  context.fillStyle = { stop: red, priority: yellow }[sign.rule] || "#ffffff";
+  context.strokeStyle = { stop: "#ffffff", priority: "#ffffff" }[sign.rule] || red;
+  context.lineWidth = sign.rule === "give_way" || sign.text ? 2.2 : 1.2;
+  context.lineJoin = "round";
+  context.fill();
+  context.stroke();
+  if (sign.text) {
+    context.font = "bold 8.5px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    context.fillStyle = rim;
+    context.fillText(sign.text, 0, 0.5);
+  }
+  context.restore();
 }
 
 function drawSets(context, episode, step, layers, pixel, palette) {

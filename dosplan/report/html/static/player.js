@@ -12,7 +12,7 @@ function makePlayer(dialog, data) {
   const play = find("[data-do=play]");
   const state = {
     list: [], index: -1, names: [], episode: null, time: 0, playing: false, view: null,
-    layers: { sets: true, plan: true, path: true, follow: false, sides: [true, true] },
+    layers: { sets: true, plan: true, path: true, rules: true, follow: false, sides: [true, true] },
     asked: 0, frame: 0,
   };
 
@@ -60,7 +60,7 @@ function makePlayer(dialog, data) {
       key.style.background = colours.kinds[kind];
       item.prepend(key);
       return item;
-    }));
+    }), ...ruleKeys());
     range.max = duration();
     const total = Math.max(duration(), 1e-6);
     find(".marks").replaceChildren(...state.episode.sides.flatMap((side, index) => {
@@ -76,9 +76,29 @@ function makePlayer(dialog, data) {
       ? `${(Math.min(...ahead) * state.episode.dt).toFixed(1)} to ${(Math.max(...ahead) * state.episode.dt).toFixed(1)} s ahead` : "none";
   }
 
+  // Keys of what is there: the lights, and the unit of the numbers on signs.
+  function ruleKeys() {
+    const units = [...new Set(state.episode.signs.map((sign) => sign.unit).filter(Boolean))].sort();
+    const key = (text, colours, border) => {
+      const item = element("li", { textContent: text });
+      item.prepend(...colours.map((colour) => {
+        const disc = element("i", { className: "disc" });
+        disc.style.background = colour;
+        disc.style.borderColor = border;
+        return disc;
+      }));
+      return item;
+    };
+    const lit = [...new Set(state.episode.lights.flatMap((lamp) => lamp.shown))].sort((a, b) => a - b);
+    return [
+      ...(lit.length ? [key("traffic light", [...new Set(lit.map((shown) => data.lamps[shown][0]))], data.signs.rim)] : []),
+      ...(units.length ? [key(`limit, ${units.join(" and ")}`, ["#ffffff"], data.signs.red)] : []),
+    ];
+  }
+
   function layerBoxes() {
     const boxes = [
-      ["sets", "sets"], ["plan", "plan"], ["path", "driven path"], ["follow", "follow (F)"],
+      ["sets", "sets"], ["plan", "plan"], ["path", "driven path"], ["rules", "lights, signs"], ["follow", "follow (F)"],
     ].map(([key, text]) => checkbox(text, state.layers[key], (on) => {
       state.layers[key] = on;
       if (key === "follow") frameView();
@@ -127,8 +147,8 @@ function makePlayer(dialog, data) {
     const get = (name) => style.getPropertyValue(`--${name}`).trim();
     const rgb = (name) => [1, 3, 5].map((i) => parseInt(get(name).slice(i, i + 2), 16));
     return {
-      land: get("land"), road: get("road"), offRoad: get("off-road"), marking: get("marking"), ink: get("ink"), line: get("line"),
-      faint: get("faint"), paper: get("paper"), goal: data.goal,
+      land: get("land"), road: get("road"), offRoad: get("off-road"), marking: get("marking"), paint: get("paint"), kerb: get("kerb"), ink: get("ink"), line: get("line"),
+      faint: get("faint"), paper: get("paper"), goal: data.goal, lamps: data.lamps, signs: data.signs,
       sides: [get("side-0"), get("side-1")], kinds: data.kinds.map(([, colour]) => toned(colour, get("user"))),
       near: rgb("near"), middle: rgb("middle"), far: rgb("far"),
       outcomes: Object.fromEntries(Object.keys(data.outcomes).map((name) => [name, get(name)])),

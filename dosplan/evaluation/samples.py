@@ -1,6 +1,6 @@
 """What is kept of each window: the few numbers from which all figures are computed.
 
-A window costs 36 bytes per method and some 130 per trajectory, so that 30 methods on 100 000
+A window costs 37 bytes per method and some 130 per trajectory, so that 30 methods on 100 000
 windows stay well below a gigabyte. Methods that stand on the same trajectories share them: they
 are recognised by the predicted centres, whatever the methods are called.
 """
@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from dosplan.api import OraclePredictor, Predictor
-from dosplan.evaluation.groups import KINDS, MOVING, family_of
+from dosplan.evaluation.groups import KINDS, MOVING, family_of, lights_of
 from dosplan.evaluation.limits import REPRESENTATIONS, upper_limits
 from dosplan.evaluation.metrics import displacement
 from dosplan.evaluation.windows import HORIZON_COLUMNS, STEPS, Moment, moments
-from dosplan.geometry import ellipse_area, mahalanobis
+from dosplan.geometry import LightIndex, ellipse_area, mahalanobis
 from dosplan.system.errors import DosplanError, failure_place, one_line
 from dosplan.types import (
     USER_HEADING,
@@ -84,6 +84,7 @@ class FileSamples:
         family: The recording's family.
         kind: (W,) index into ``groups.KINDS``.
         speed: (W,) present speed, m/s.
+        light: (W,) index into ``groups.LIGHTS``, of the light ahead; -1 where there is none.
         recorded: (W, 4) whether the truth is recorded at 1, 2, 3, 4 s.
         sets: Samples of each method.
         digests: Which trajectories each method stands on: a key of ``trajectories``.
@@ -93,6 +94,7 @@ class FileSamples:
     family: str
     kind: npt.NDArray[np.int8]
     speed: Float32Array
+    light: npt.NDArray[np.int8]
     recorded: BoolArray
     sets: tuple[SetSamples, ...]
     digests: tuple[str, ...]
@@ -125,12 +127,17 @@ def sample_file(
             predictor.reset(scenario.task, scenario.road_map)
         except (Exception, SystemExit) as error:
             raise _failure(label, predictor, error) from error
-    kind, speed, recorded = [], [], []
+    kind, speed, light, recorded = [], [], [], []
+    index = LightIndex(scenario.road_map)
     methods = [_MethodLog() for _ in predictors]
     for moment in moments(scenario, every):
         observation, rows = moment.observation, moment.rows
         kind.append(np.array([KINDS.index(observation.kinds[i]) for i in rows], dtype=np.int8))
         speed.append(np.abs(observation.states[rows, -1, USER_VELOCITY]).astype(np.float32))
+        ahead = index.ahead(
+            observation.states[rows, -1], observation.size[rows], observation.lights
+        )
+        light.append(lights_of(ahead.colour))
         recorded.append(moment.recorded[:, HORIZON_COLUMNS])
         for (label, predictor), log in zip(predictors, methods, strict=True):
             try:
@@ -143,6 +150,7 @@ def sample_file(
         family=family_of(scenario.benchmark_id, scenario.tags),
         kind=_joined(kind, np.int8),
         speed=_joined(speed, np.float32),
+        light=_joined(light, np.int8),
         recorded=_joined(recorded, np.bool_, len(HORIZON_COLUMNS)),
         sets=tuple(log.sets() for log in methods),
         digests=digests,

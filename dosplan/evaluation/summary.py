@@ -81,6 +81,7 @@ def summarise(
         groups=group_windows(
             np.concatenate([s.kind for s in samples]),
             np.concatenate([s.speed for s in samples]),
+            np.concatenate([s.light for s in samples]),
             [s.family for s in samples],
             scenario,
         ),

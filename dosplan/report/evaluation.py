@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from rich.console import Group, RenderableType
 
-from dosplan.evaluation.groups import SPEED_BINS
+from dosplan.evaluation.groups import LIGHTS, NO_LIGHT, SPEED_BINS
 from dosplan.evaluation.metrics import PAPER_AREAS
 from dosplan.report.tables import table
 from dosplan.results.markdown import markdown
@@ -25,8 +25,8 @@ def evaluation_tables(figures: Mapping[str, Any]) -> RenderableType:
         figures: What ``evaluate`` returned.
 
     Returns:
-        What it was measured on; sets of all and of moving road users; coverage by area and by
-        speed; trajectories; upper limits. Further groups are in the figures alone.
+        What it was measured on; sets of all and of moving road users; coverage by area, by speed
+        and by the light ahead; trajectories; upper limits. Further groups are in the figures alone.
     """
     parts: list[RenderableType] = [_on(figures["data"])]
     for title, headings, rows in _blocks(figures):
@@ -99,15 +99,22 @@ def _blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
             for method in methods
         ],
     )
-    bins = [name for name in SPEED_BINS if name in groups]
-    yield (
-        f"CR % by speed, at {', '.join(seconds)} s",
-        ["Method", *bins],
-        [
-            [method, *(" / ".join(_percent(r["cr"]) for r in sets[method, name]) for name in bins)]
-            for method in methods
-        ],
-    )
+    for by, names in (("speed", SPEED_BINS), ("light ahead", (*LIGHTS, NO_LIGHT))):
+        if found := [name for name in names if name in groups]:
+            yield (
+                f"CR % by {by}, at {', '.join(seconds)} s",
+                ["Method", *found],
+                [
+                    [
+                        method,
+                        *(
+                            " / ".join(_percent(r["cr"]) for r in sets[method, name])
+                            for name in found
+                        ),
+                    ]
+                    for method in methods
+                ],
+            )
     yield (
         "Trajectories, m",
         ["Model", "Group", "ADE", "FDE", *(f"{t} s" for t in seconds), "n"],
@@ -119,7 +126,7 @@ def _blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
                 str(row["n"]),
             ]
             for row in figures["trajectories"]
-            if row["group"] in (*_MAIN_GROUPS, *SPEED_BINS)
+            if row["group"] in (*_MAIN_GROUPS, *SPEED_BINS, *LIGHTS, NO_LIGHT)
         ],
     )
     limits = _by(figures["upper_limits"], "model", "representation", "group")

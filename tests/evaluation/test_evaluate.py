@@ -13,15 +13,32 @@ from dosplan_simple.predictors import ConstantVelocityPredictor
 from dosplan.cli import main as cli
 from dosplan.cli.main import main
 from dosplan.evaluation.evaluate import EvaluationConfig, EvaluationError, evaluate
-from dosplan.evaluation.groups import CELL_WINDOWS, KINDS, family_of, group_windows
+from dosplan.evaluation.groups import (
+    CELL_WINDOWS,
+    KINDS,
+    LIGHTS,
+    family_of,
+    group_windows,
+    lights_of,
+)
 from dosplan.evaluation.methods import Method
 from dosplan.evaluation.samples import FileSamples, PredictionError, sample_file
 from dosplan.evaluation.summary import scales, summarise
 from dosplan.evaluation.windows import HORIZON_COLUMNS, moments
+from dosplan.geometry import NO_LIGHT
 from dosplan.plugins.registry import create_predictor
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.system.files import read_json
-from dosplan.types import FloatArray, Observation, Occupancy, RoadUserKind, Scenario
+from dosplan.types import (
+    COLOURS,
+    FloatArray,
+    LightColour,
+    Observation,
+    Occupancy,
+    RoadUserKind,
+    Scenario,
+)
+from tests.support.lights import LEFT, TURNS_GREEN, regulated_scenario
 from tests.support.plugins import PLUGINS
 from tests.support.scenes import User, driving, write_scenario_xml
 
@@ -214,7 +231,8 @@ def test_groups_on_both_sides_of_their_edges() -> None:
     speed = np.array([0.0, 0.29, 0.3, 3.99, 4.0, 8.0, 15.9, 16.0, 60.0], dtype=np.float32)
     kind = np.array([KINDS.index(RoadUserKind.CAR)] * 8 + [KINDS.index(RoadUserKind.BUS)])
     where = np.array([0] * 8 + [1])
-    groups = group_windows(kind.astype(np.int8), speed, ["A", "B"], where)
+    dark = np.full(9, -1, dtype=np.int8)
+    groups = group_windows(kind.astype(np.int8), speed, dark, ["A", "B"], where)
     shown = {name: indices.tolist() for name, indices in groups.items()}
     assert shown == {
         "all": list(range(9)),
@@ -231,12 +249,46 @@ def test_groups_on_both_sides_of_their_edges() -> None:
     }
 
 
+def test_colours_are_sorted_by_what_they_ask_of_a_driver() -> None:
+    found = lights_of(np.array([*range(len(COLOURS)), NO_LIGHT]))
+    names = {
+        colour: LIGHTS[i] if i >= 0 else None for colour, i in zip(COLOURS, found, strict=False)
+    }
+    assert names == {
+        LightColour.RED: "red light",
+        LightColour.RED_YELLOW: "red light",
+        LightColour.YELLOW: "yellow light",
+        LightColour.GREEN: "green light",
+        LightColour.INACTIVE: None,
+    }
+    assert found[-1] == -1
+
+
+def test_windows_are_grouped_by_the_light_ahead_when_they_begin() -> None:
+    # The light ahead of the first car is red until step 20; the second is past the lights.
+    tracks = steady_tracks([[0.0, 0.0, 0.0, 2.0], [50.0, 0.0, 0.0, 2.0]], steps=41)
+    scenario = regulated_scenario(tracks)
+    own, *others = scenario.road_map.lanelets
+    assert own.stop_line is not None
+    own = replace(own, lights=(LEFT,), stop_line=replace(own.stop_line, lights=(LEFT,)))
+    scenario = replace(scenario, road_map=replace(scenario.road_map, lanelets=(own, *others)))
+    counts = {row["group"]: row["n"] for row in _of(_shown(scenario, CIRCLES[:1])["simultaneous"])}
+    assert counts["red light"] == TURNS_GREEN
+    assert counts["green light"] == 40 - TURNS_GREEN
+    assert counts["no light"] == 40
+    assert counts["all"] == 80
+    dark = replace(scenario, road_map=replace(scenario.road_map, lights=()))
+    groups = {row["group"] for row in _shown(dark, CIRCLES[:1])["simultaneous"]}
+    assert not groups & {*LIGHTS, "no light"}
+
+
 def test_a_cell_of_family_and_speed_needs_windows() -> None:
     for count, shown in ((CELL_WINDOWS - 1, False), (CELL_WINDOWS, True)):
         speed: FloatArray = np.full(count, 5.0)
         groups = group_windows(
             np.zeros(count, dtype=np.int8),
             speed.astype(np.float32),
+            np.full(count, -1, dtype=np.int8),
             ["A"],
             np.zeros(count, dtype=np.int64),
         )

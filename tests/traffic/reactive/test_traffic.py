@@ -1,26 +1,257 @@
-"""Traffic that keeps to the recording and reacts to the ego."""
+"""Traffic that keeps to the recording: who brakes, who does not, and what it comes back to."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
+import pytest
+from dosplan_reactive.settings import Manner, ReactiveSettings
 from dosplan_reactive.traffic import ReactiveTraffic
 
-from dosplan.simulation.world import World
-from dosplan.types import USER_VELOCITY
+from dosplan.scenario.synthetic import CAR_SIZE, LANE_WIDTH, steady_tracks, straight_scenario
+from dosplan.simulation.traffic import RoadUsers
+from dosplan.types import EGO_SIZE, FloatArray, RoadUserKind, Scenario, Tracks
 from tests.support.traffic import braking_before, followed
 
+DT = 0.1
 
-def test_whoever_is_behind_a_standing_ego_stands_behind_it() -> None:
+
+def along(
+    speeds: Sequence[float] | FloatArray, start: float = 0.0, y: float = 0.0, heading: float = 0.0
+) -> FloatArray:
+    """States of somebody who drives straight on, at the speed of each step."""
+    speed = np.asarray(speeds, dtype=np.float64)
+    way = start + DT * np.concatenate([[0.0], np.cumsum(speed[1:])])
+    states = np.zeros((len(speed), 4))
+    states[:, 0] = way * np.cos(heading) - y * np.sin(heading)
+    states[:, 1] = way * np.sin(heading) + y * np.cos(heading)
+    states[:, 2], states[:, 3] = heading, speed
+    return states
+
+
+def scene(*users: FloatArray, kinds: Sequence[RoadUserKind] | None = None) -> Scenario:
+    """A scenario with these road users; NaN where they are not on the scene."""
+    states = np.stack(users)
+    valid = ~np.isnan(states[..., 0])
+    return straight_scenario(
+        Tracks(
+            ids=100 + np.arange(len(users)),
+            kinds=tuple(kinds or [RoadUserKind.CAR] * len(users)),
+            size=np.tile(CAR_SIZE, (len(users), 1)),
+            states=states,
+            valid=valid,
+        )
+    )
+
+
+def ego_at(scenario: Scenario, centres: FloatArray) -> FloatArray:
+    """(K, 5) ego states whose rectangle has these (K, 4) centres, headings and velocities."""
+    states = np.zeros((len(centres), EGO_SIZE))
+    back = scenario.task.vehicle.rear_to_centre
+    states[:, 0] = centres[:, 0] - back * np.cos(centres[:, 2])
+    states[:, 1] = centres[:, 1] - back * np.sin(centres[:, 2])
+    states[:, 3], states[:, 4] = centres[:, 3], centres[:, 2]
+    return states
+
+
+def driven(
+    scenario: Scenario, centres: FloatArray, traffic: ReactiveTraffic | None = None
+) -> list[RoadUsers]:
+    """What is handed over at the steps 1, 2, ..., while the ego drives along its centres."""
+    traffic = ReactiveTraffic() if traffic is None else traffic
+    traffic.begin(scenario, 0)
+    ego = ego_at(scenario, centres)
+    return [traffic.step(step, ego[: step + 1]) for step in range(1, len(ego))]
+
+
+def state(users: RoadUsers, name: int) -> FloatArray:
+    """The state of a road user."""
+    return np.asarray(users.states[users.ids.tolist().index(name)])
+
+
+def standing(x: float, y: float = 0.0, heading: float = 0.0, steps: int = 101) -> FloatArray:
+    """An ego that stands."""
+    return np.tile([x, y, heading, 0.0], (steps, 1))
+
+
+def test_with_nobody_in_the_way_the_recording_comes_back_to_the_last_bit() -> None:
+    rng = np.random.default_rng(3)
+    speeds = np.clip(8.0 + np.cumsum(rng.normal(0.0, 0.3, 101)), 0.0, 20.0)
+    shaky = along(speeds, start=20.0)
+    shaky[:, :3] += rng.normal(0.0, 0.01, (101, 3))
+    late = along(np.full(101, 9.0), y=LANE_WIDTH)
+    late[:40] = np.nan
+    scenario = scene(shaky, late, along(np.zeros(101), start=60.0, y=-6.0))
+    for step, users in enumerate(driven(scenario, standing(-300.0)), 1):
+        there = scenario.tracks.valid[:, step]
+        np.testing.assert_array_equal(users.ids, scenario.tracks.ids[there])
+        np.testing.assert_array_equal(users.states, scenario.tracks.states[there, step])
+
+
+def test_whoever_follows_an_ego_that_brakes_stops_behind_it() -> None:
     episode = braking_before(ReactiveTraffic())
-    follower, ego = episode.tracks.states[0, -1], episode.states[-1]
-    assert follower[USER_VELOCITY] == 0.0
-    assert follower[0] < ego[0] < followed().tracks.states[0, episode.tracks.steps - 1, 0]
+    follower, ego = episode.tracks.states[0], episode.states[-1]
+    gap = ego[0] - follower[-1, 0] - 0.5 * CAR_SIZE[0]
+    assert 0.0 < gap < 6.0
+    assert follower[-1, 3] < 0.5
+    assert follower[-1, 0] < followed().tracks.states[0, episode.tracks.steps - 1, 0]
+    assert np.diff(follower[:, 3]).min() >= -8.0 * DT - 1e-9  # It brakes as a car can.
 
 
-def test_with_no_ego_in_the_way_the_recording_comes_back_bit_by_bit() -> None:
-    scenario = followed()
-    world = World(scenario, ReactiveTraffic())
-    ego = np.tile([-500.0, 0.0, 0.0, 0.0, 0.0], (2, 1))
-    for step in range(1, scenario.tracks.steps):
-        users = world.traffic.step(step, ego)
+def test_nobody_brakes_before_the_reaction_time_is_over() -> None:
+    scenario = scene(along(np.full(101, 10.0)))
+    ego = standing(30.0)
+    begun = {}
+    for time in (0.3, 1.2):
+        traffic = ReactiveTraffic(settings=ReactiveSettings(reaction_time=time))
+        users = driven(scenario, ego, traffic)
+        off = [state(u, 100)[0] != scenario.tracks.states[0, i, 0] for i, u in enumerate(users, 1)]
+        begun[time] = int(np.argmax(off)) + 1
+    assert begun[1.2] - begun[0.3] == 9
+
+
+def test_what_the_ego_does_in_a_step_is_not_known_before_it_is_over() -> None:
+    scenario = scene(along(np.full(101, 10.0)))
+    one, other = standing(200.0, steps=4), standing(200.0, steps=4)
+    other[-1, 0] = 12.0
+    for users, same in zip(driven(scenario, one), driven(scenario, other), strict=True):
+        np.testing.assert_array_equal(users.states, same.states)
+
+
+def test_a_delay_is_passed_on_and_who_has_a_free_lane_is_exactly_on_time() -> None:
+    follower, second = along(np.full(101, 10.0)), along(np.full(101, 10.0), start=-14.0)
+    beside = along(np.full(101, 10.0), start=-5.0, y=LANE_WIDTH)
+    scenario = scene(follower, second, beside)
+    users = driven(scenario, standing(40.0))
+    for step, seen in enumerate(users, 1):
+        np.testing.assert_array_equal(state(seen, 102), scenario.tracks.states[2, step])
+        gap = state(seen, 100)[0] - state(seen, 101)[0]
+        assert gap > CAR_SIZE[0], step
+    assert state(users[-1], 100)[0] < 40.0 - CAR_SIZE[0]
+    assert state(users[-1], 101)[0] < 40.0 - 2.0 * CAR_SIZE[0]
+
+
+def test_a_tight_recorded_gap_is_no_reason_to_brake() -> None:
+    # 4 m behind the ego at 15 m/s, both at the same speed: a gap of 0.27 s.
+    scenario = scene(along(np.full(60, 15.0), start=-8.5))
+    ego = np.column_stack([15.0 * DT * np.arange(60), *np.zeros((2, 60)), np.full(60, 15.0)])
+    for step, users in enumerate(driven(scenario, ego), 1):
         np.testing.assert_array_equal(users.states, scenario.tracks.states[:, step])
+
+
+def crossing() -> Scenario:
+    """Somebody comes from the right at 10 m/s, and is at x = 30 m, y = 0 after 4 s."""
+    return scene(along(np.full(101, 10.0), start=-40.0, y=-30.0, heading=np.pi / 2.0))
+
+
+def test_who_finds_the_ego_standing_on_a_crossing_stops_before_it() -> None:
+    users = driven(crossing(), standing(30.0))
+    assert state(users[-1], 100)[1] < -0.5 * (CAR_SIZE[0] + 1.61)
+    assert state(users[-1], 100)[1] > -8.0
+
+
+def test_who_crosses_does_not_wait_for_an_ego_that_is_gone_by_then() -> None:
+    scenario = crossing()
+    speed = 12.0
+    ego = np.column_stack([speed * DT * np.arange(101), *np.zeros((2, 101)), np.full(101, speed)])
+    for step, users in enumerate(driven(scenario, ego), 1):
+        np.testing.assert_array_equal(users.states, scenario.tracks.states[:, step])
+
+
+def test_only_the_courteous_give_way_to_an_ego_that_has_yet_to_cross() -> None:
+    scenario = crossing()
+    ego = np.column_stack([8.0 * DT * np.arange(101), *np.zeros((2, 101)), np.full(101, 8.0)])
+    away = ego[:38]  # Up to 30.4 m: the ego enters the corridor of who crosses at the end.
+    late = {}
+    for manner in Manner:
+        traffic = ReactiveTraffic(settings=ReactiveSettings(manner=manner))
+        users = driven(scenario, away[:33], traffic)
+        late[manner] = scenario.tracks.states[0, 32, 1] - state(users[-1], 100)[1]
+    assert late[Manner.STRICT] == 0.0
+    assert late[Manner.COURTEOUS] > 0.2
+
+
+def test_two_who_are_late_do_not_drive_through_one_another() -> None:
+    # Recorded, the first is across before the second comes; held up by the ego, it comes with it.
+    first = along(np.full(101, 10.0), start=-10.0)
+    second = along(np.full(101, 10.0), start=-48.0, y=-40.0, heading=np.pi / 2.0)
+    scenario = scene(first, second)
+    ego = standing(18.0)
+    ego[16:, 1] = 20.0  # It is lifted out of the way.
+    users = driven(scenario, ego)
+    one = np.array([state(u, 100)[:2] for u in users])
+    other = np.array([state(u, 101)[:2] for u in users])
+    assert one[-1, 0] < scenario.tracks.states[0, -1, 0] - 5.0
+    assert np.hypot(*(one - other).T).min() > 3.0
+    assert max(one[-1, 0] - 40.0, other[-1, 1]) > 5.0  # They do not wait for one another.
+
+
+def test_who_is_held_up_before_a_red_light_starts_when_it_is_recorded_to() -> None:
+    speeds = np.concatenate([np.full(30, 10.0), np.linspace(10.0, 0.0, 15), np.zeros(30)])
+    speeds = np.concatenate([speeds, np.linspace(0.0, 10.0, 26)])
+    scenario = scene(along(speeds))
+    ego = standing(30.0)
+    ego[25:, 1] = 20.0
+    users = driven(scenario, ego)
+    assert state(users[25], 100)[0] < scenario.tracks.states[0, 26, 0] - 0.5
+    for step in range(75, 101):
+        np.testing.assert_array_equal(users[step - 1].states, scenario.tracks.states[:, step])
+
+
+def test_who_comes_onto_the_scene_waits_until_the_place_is_free() -> None:
+    comes = along(np.full(101, 10.0), start=-10.0)
+    comes[:20] = np.nan
+    scenario = scene(comes)
+    place = scenario.tracks.states[0, 20, :2]
+    ego = standing(place[0] + 2.0)
+    ego[50:, 1] = 20.0
+    ids = [users.ids.tolist() for users in driven(scenario, ego)]
+    assert ids[:19] == [[]] * 19
+    assert ids[19:50] == [[]] * 31
+    assert ids[51:] == [[100]] * 49
+
+
+def test_people_bicycles_and_who_drives_backwards_are_replayed() -> None:
+    walk, ride = along(np.full(101, 1.5), start=20.0), along(np.full(101, 5.0))
+    back = along(np.full(101, -3.0), start=60.0)
+    kinds = (RoadUserKind.PEDESTRIAN, RoadUserKind.BICYCLE, RoadUserKind.CAR)
+    scenario = scene(walk, ride, back, kinds=kinds)
+    for step, users in enumerate(driven(scenario, standing(30.0)), 1):
+        np.testing.assert_array_equal(users.states, scenario.tracks.states[:, step])
+
+
+def test_after_its_last_recorded_step_somebody_leaves_the_scene_even_if_late() -> None:
+    scenario = scene(along(np.full(60, 10.0)))
+    ego = standing(40.0, steps=140)
+    ego[50:, 1] = 20.0
+    users = driven(scenario, ego)
+    there = [len(u.ids) for u in users]
+    assert there[60] == 1  # Late, it has some way left when the recording is over.
+    assert there[-1] == 0
+    free = driven(scenario, standing(-300.0, steps=63))
+    assert [len(u.ids) for u in free[57:]] == [1, 1, 0, 0, 0]
+
+
+def test_an_episode_leaves_nothing_behind() -> None:
+    scenario, traffic = followed(), ReactiveTraffic()
+    first = driven(scenario, standing(20.0), traffic)
+    driven(crossing(), standing(30.0), traffic)
+    for users, again in zip(first, driven(scenario, standing(20.0), traffic), strict=True):
+        np.testing.assert_array_equal(users.states, again.states)
+
+
+def test_a_scene_without_anybody_is_driven() -> None:
+    empty = straight_scenario(steady_tracks())
+    assert [len(u.ids) for u in driven(empty, standing(0.0, steps=4))] == [0, 0, 0]
+    short = replace(empty, tracks=steady_tracks(steps=0))
+    assert [len(u.ids) for u in driven(short, standing(0.0, steps=4))] == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"time_gap": -1.0}, {"deceleration": 0.0}, {"reaction_time": float("nan")}]
+)
+def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        ReactiveSettings(**wrong)  # type: ignore[arg-type]

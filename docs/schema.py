@@ -28,13 +28,13 @@ from dosplan.results.summary import ArmSummary, RunTitle, Summary
 from dosplan.results.unusable import Unusable
 from dosplan.scoring import metrics
 from dosplan.system.provenance import Machine
-from dosplan.types import Score, Tracks
+from dosplan.types import Score, Sightings, Tracks
 
 PAGE: Final = Path(__file__).with_name("run-folder.md")
 METRICS_PAGE: Final = PAGE.with_name("metrics.md")
 CLASSES: Final[tuple[type, ...]] = (
-    RunManifest, RunSettings, Machine, Score, Recording, Tracks, Summary, RunTitle, Comparison,
-    Difference, Change, Unusable,
+    RunManifest, RunSettings, Machine, Score, Recording, Tracks, Sightings, Summary, RunTitle,
+    Comparison, Difference, Change, Unusable,
 )  # fmt: skip
 _FLATTENED: Final = {"measures": "name of a measured metric", "differences": "name of a metric"}
 """Fields whose entries are keys themselves."""

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from dosplan.api import Planner, Predictor
+from dosplan.plugins.loops import choose_loop
 from dosplan.plugins.registry import (
     RegistryError,
     create_planner,
@@ -33,7 +36,6 @@ from dosplan.running.config import RunConfig, default_folder
 from dosplan.running.executor import Executor
 from dosplan.running.progress import Progress, ProgressObserver
 from dosplan.running.run import run
-from dosplan.simulation.loop import SimulationConfig
 from dosplan.simulation.loop import run_episode as simulate
 from dosplan.simulation.traffic import Traffic
 from dosplan.types import Arm, EpisodeKey, Scenario, Score
@@ -108,7 +110,8 @@ def run_episode(
     arm: Arm | str = Arm.WITH_DOS,
     *,
     seed: int = 0,
-    replan_every: int = 1,
+    loop: str = "ideal",
+    loop_options: Mapping[str, Any] = MappingProxyType({}),
     traffic: Traffic | str = "replay",
     future: int = 0,
 ) -> Drive:
@@ -120,7 +123,8 @@ def run_episode(
         predictor: A predictor, or the name of one.
         arm: With or without the sets.
         seed: Seed of a plug-in that is given by its name.
-        replan_every: Steps driven from each plan.
+        loop: How often and how late the ego plans, and what it sees: ``ideal`` or ``realistic``.
+        loop_options: What is changed of it, such as ``{"latency": 0.3}``.
         traffic: The other road users: a traffic, or the name of one.
         future: Which continuation of the past a traffic drives that is given by its name.
 
@@ -130,6 +134,7 @@ def run_episode(
 
     Raises:
         RegistryError: There is no plug-in of that name.
+        SettingsError: There is no such loop, or an option of it is wrong.
     """
     if isinstance(planner, str):
         planner = create_planner(planner, seed)
@@ -137,8 +142,8 @@ def run_episode(
         predictor = create_predictor(predictor, seed)
     if isinstance(traffic, str):
         traffic = create_traffic(traffic, seed, future=future)
-    config = SimulationConfig(replan_every=replan_every)
-    episode = simulate(scenario, planner, predictor, Arm(arm), config, traffic)
+    settings = choose_loop(loop, loop_options)
+    episode = simulate(scenario, planner, predictor, Arm(arm), settings, traffic)
     return Drive.of(scenario, episode)
 
 

@@ -34,6 +34,8 @@ examples:
   dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
   dosplan run --predictor dos --set predictor.base=constant-velocity
   dosplan run --predictor ground-truth --unranked
+  dosplan run --loop realistic                   late, noisy and partly blind, as on a car
+  dosplan run --set loop.period=0.5 --set loop.latency=0.3
   dosplan run --quiet --json > figures.json      for scripts
   dosplan run --planner mine.py:MyPlanner --limit 1 --in-process    stops at breakpoint()
 """
@@ -94,12 +96,14 @@ class RunCommand:
             planner_options=_chosen(options.settings, "planner"),
             predictor_options=_chosen(options.settings, "predictor"),
             traffic_options=_chosen(options.settings, "traffic"),
+            loop=options.loop,
+            loop_options=_chosen(options.settings, "loop")
+            | ({"real_time": True} if options.real_time else {}),
             futures=options.futures,
             arms=tuple(Arm(arm) for arm in options.arms) if options.arms else tuple(Arm),
             workers=options.workers,
             limit=options.limit,
             seed=options.seed,
-            replan_every=options.replan_every,
             episode_timeout=options.timeout,
             memory_limit=options.memory_limit,
             ranked=not options.unranked,
@@ -203,8 +207,8 @@ def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="PLUGIN.NAME=VALUE",
-        help="an option of a plug-in, such as predictor.coverage=0.9, predictor.base=net or "
-        "predictor.base.horizon=40; VALUE as in YAML; may be given again",
+        help="an option of a plug-in or of the loop, such as predictor.coverage=0.9, "
+        "predictor.base=net or loop.period=0.5; VALUE as in YAML; may be given again",
     )
 
 
@@ -221,11 +225,17 @@ def _add_how_to_drive(parser: argparse.ArgumentParser) -> None:
     )
     add_seed(parser)
     parser.add_argument(
-        "--replan-every",
-        type=int,
-        default=1,
-        metavar="N",
-        help="steps driven from each plan (default: %(default)s)",
+        "--loop",
+        default="ideal",
+        metavar="NAME",
+        help="how often and how late the ego plans, and what it sees: ideal, or realistic, as on a "
+        "car; --set loop.latency=0.3 and the like change it (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--real-time",
+        action="store_true",
+        help="add the time that prediction and plan take to the loop's latency; such a run cannot "
+        "be repeated, and is marked",
     )
     parser.add_argument(
         "--timeout",
@@ -285,13 +295,13 @@ def _setting(text: str) -> Setting:
     key, equals, value = text.partition("=")
     plugin, _, name = key.partition(".")
     if (
-        plugin not in ("planner", "predictor", "traffic")
+        plugin not in ("planner", "predictor", "traffic", "loop")
         or not equals
         or not all(part.isidentifier() for part in name.split("."))
     ):
         raise argparse.ArgumentTypeError(
-            f"{text!r:.100} is not of the form planner.NAME=VALUE, predictor.NAME=VALUE or "
-            "traffic.NAME=VALUE"
+            f"{text!r:.100} is not of the form planner.NAME=VALUE, predictor.NAME=VALUE, "
+            "traffic.NAME=VALUE or loop.NAME=VALUE"
         )
     try:
         return plugin, name, parse_yaml(value)

@@ -7,7 +7,7 @@ have the keys of a newer one. A key that is not known is left out.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
@@ -15,7 +15,7 @@ from dosplan.results.folder import RunFolder
 from dosplan.system.files import FileError, read_json, write_json
 from dosplan.system.provenance import Machine
 from dosplan.system.typed import plain, typed
-from dosplan.types import Arm, EpisodeKey
+from dosplan.types import Arm, EpisodeKey, Score
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +32,8 @@ class RunSettings:
             ``dosplan.plugins.settings``.
         predictor_options: Likewise of the predictor's.
         traffic_options: Likewise of the traffic's.
+        loop: Loop of the ego: ``ideal`` or ``realistic``, see ``loop.md``.
+        loop_options: What was set of the loop's settings.
         arms: Arms to drive.
         futures: Number of continuations of each scenario's past that are driven.
         workers: Number of worker processes on this machine.
@@ -41,7 +43,6 @@ class RunSettings:
         sample: Of those, so many by lot, which the seed decides; None drives all.
         limit: Of those, the first ones; None drives all.
         seed: Seed of everything random.
-        replan_every: Steps driven from each plan.
         episode_timeout: Seconds after which an episode counts as hung; the making of the
             planner, where a worker has none yet, is within them.
         memory_limit: Resident memory at which a worker process is ended, MB (10^6 bytes).
@@ -58,6 +59,8 @@ class RunSettings:
     planner_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     predictor_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     traffic_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    loop: str = "ideal"
+    loop_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     arms: tuple[Arm, ...] = tuple(Arm)
     futures: int = 1
     workers: int = 1
@@ -66,7 +69,6 @@ class RunSettings:
     sample: int | None = None
     limit: int | None = None
     seed: int = 0
-    replan_every: int = 1
     episode_timeout: float = 600.0
     memory_limit: int = 4000
     ranked: bool = True
@@ -84,8 +86,11 @@ class RunManifest:
         planner: Name of the planner, with its version.
         predictor: Name of the predictor, likewise.
         traffic: Name of the traffic.
-        settings: All settings of ``planner``, ``predictor`` and ``traffic``, defaults and the
-            plug-ins within them included; as options of the plug-in, they give the same one.
+        loop: Name of the loop, with what was changed of it.
+        reproducible: Whether the run can be repeated: false where the time that plans took is
+            charged as latency.
+        settings: All settings of ``planner``, ``predictor``, ``traffic`` and ``loop``, defaults
+            and the plug-ins within them included; as options, they give the same one.
         scenarios: Ids of the scenarios, in their order: with the arms and the futures,
             every episode of the run.
         digests: SHA-256 of the content of the plug-ins' files, weights and scenario files; what
@@ -101,6 +106,8 @@ class RunManifest:
     planner: str
     predictor: str
     traffic: str = "replay"
+    loop: str = "ideal"
+    reproducible: bool = True
     settings: Mapping[str, Any] = field(default_factory=dict)
     scenarios: tuple[str, ...]
     digests: Mapping[str, str] = field(default_factory=dict)
@@ -108,6 +115,17 @@ class RunManifest:
     versions: Mapping[str, str]
     git_revision: str | None = None
     machine: Machine | None = None
+
+    def row(self, found: Score) -> Score:
+        """Completes a row by what is the run's: an episode that never began knows nothing of it.
+
+        Args:
+            found: The row.
+
+        Returns:
+            The row with the run's traffic and loop.
+        """
+        return replace(found, traffic=self.traffic, loop=self.loop)
 
     @property
     def episodes(self) -> tuple[EpisodeKey, ...]:

@@ -104,7 +104,7 @@ def summary_title(summary: Summary) -> str:
         Planner, predictor, scenarios and settings.
     """
     run = summary.run
-    mark = "" if run.ranked else " (unranked: the predictor may see the future)"
+    mark = "" if run.ranked else f" (unranked: {unranked_reason(run.reproducible)})"
     options = (
         f"{plugin}.{name}={value}"
         for plugin, chosen in (
@@ -115,10 +115,26 @@ def summary_title(summary: Summary) -> str:
         for name, value in chosen.items()
     )
     traffic = [] if run.traffic == "replay" else [f"traffic {run.traffic}"]
+    if run.loop != "ideal":
+        traffic.append(f"loop {run.loop}")
     if run.futures > 1:
         traffic.append(f"{run.futures} futures")
     settings = ", ".join([*traffic, f"seed {run.seed}", *options])
     return f"{run.planner} with {run.predictor} on {run.source}, {settings}{mark}"
+
+
+def unranked_reason(reproducible: bool) -> str:
+    """Says why a run may not be ranked.
+
+    Args:
+        reproducible: Whether it can be repeated.
+
+    Returns:
+        The reason in a few words.
+    """
+    if reproducible:
+        return "the predictor may see the future"
+    return "the time that plans took is charged as latency, so the run cannot be repeated"
 
 
 def difference_lines(summary: Summary) -> list[str]:

@@ -34,6 +34,7 @@ from dosplan.types import (
     IntArray,
     Occupancy,
     Scenario,
+    Sightings,
     Signals,
     SolveReport,
     SolveStatus,
@@ -65,7 +66,8 @@ class Recording:
         tracks: The road users as they were driven; None where that is as recorded.
         end: Why the simulation stopped.
         error: What went wrong in a planner failure, or None.
-        cycle_steps: (C,) step at which each cycle ran.
+        cycle_steps: (C,) step at which each plan begins; that of what the ego saw is earlier by
+            the loop's latency.
         predict_seconds: (C,) time of each prediction, s.
         plan_seconds: (C,) time of each plan, s.
         status: C words of ``SolveStatus``.
@@ -88,6 +90,9 @@ class Recording:
             single precision.
         signals: The traffic lights as they were; None where that is as recorded.
         future: Which continuation of the scenario's past was driven; 0 where there is one.
+        loop: Name of the loop.
+        sightings: What the ego saw, rounded to 1/64 m, rad and m/s; None where that is all there
+            was, at the step of each cycle.
 
     Raises:
         ValueError: Arrays do not fit each other, or what is no number is where one has to be.
@@ -121,6 +126,8 @@ class Recording:
     exact: bool = True
     signals: Signals | None = None
     future: int = 0
+    loop: str = "ideal"
+    sightings: Sightings | None = None
 
     def __post_init__(self) -> None:
         steps, cycles = len(self.inputs), len(self.cycle_steps)
@@ -228,6 +235,8 @@ class Recording:
             inputs=episode.inputs,
             traffic=episode.traffic,
             future=episode.future,
+            loop=episode.loop,
+            sightings=episode.sightings,
             tracks=None if episode.tracks is scenario.tracks else episode.tracks,
             end=episode.end,
             error=episode.error,
@@ -291,6 +300,9 @@ class Recording:
         }
         for name, value in values.items():
             values[name] = (np.round(value * _GRAIN) / _GRAIN).astype(np.float32)
+        seen = self.sightings
+        if seen is not None:
+            values["sightings"] = replace(seen, states=np.round(seen.states * _GRAIN) / _GRAIN)
         return replace(self, **values)
 
     def _restored(self) -> Self:

@@ -15,7 +15,7 @@ from dosplan.system.files import FileError, atomic_file, parse_json
 from dosplan.system.typed import plain, typed
 from dosplan.types import Score
 
-LATER: Final = ("traffic", "future")
+LATER: Final = ("traffic", "future", "loop")
 """Columns that rows of earlier versions lack; there they have the default of ``Score``."""
 
 _COLUMNS: Final = {name: kind for name, kind in get_type_hints(Score).items() if name != "measures"}

@@ -43,9 +43,13 @@ class RunTitle:
         planner_options: Options of the planner.
         predictor_options: Options of the predictor.
         traffic_options: Options of the traffic.
+        loop: Name of the loop, with what was changed of it.
         futures: Number of futures of each scenario.
         seed: Seed of everything random.
-        ranked: Whether the run may be ranked: false where the predictor may have seen the future.
+        ranked: Whether the run may be ranked: false where the predictor may have seen the future,
+            and where the run cannot be repeated.
+        reproducible: Whether the run can be repeated: false where the time that plans took is
+            charged as latency.
     """
 
     source: str
@@ -55,9 +59,11 @@ class RunTitle:
     planner_options: Mapping[str, Any]
     predictor_options: Mapping[str, Any]
     traffic_options: Mapping[str, Any] = field(default_factory=dict)
+    loop: str = "ideal"
     futures: int = 1
     seed: int
     ranked: bool
+    reproducible: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,9 +160,11 @@ def _summary(
             planner_options=config.planner_options,
             predictor_options=config.predictor_options,
             traffic_options=config.traffic_options,
+            loop=manifest.loop,
             futures=config.futures,
             seed=config.seed,
-            ranked=config.ranked,
+            ranked=config.ranked and manifest.reproducible,
+            reproducible=manifest.reproducible,
         ),
         comparison=comparison,
         unusable=unusable_scenarios(rows),

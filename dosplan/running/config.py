@@ -10,7 +10,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+from dosplan.plugins.loops import choose_loop
+from dosplan.plugins.settings import SettingsError
 from dosplan.results.manifest import RunSettings
+from dosplan.simulation.settings import LoopSettings
 from dosplan.system.errors import DosplanError
 
 SELECTION: Final = ("source", "ids", "only", "sample", "limit", "futures")
@@ -46,14 +49,23 @@ class RunConfig(RunSettings):
             raise RunError(
                 f"episode_timeout is {self.episode_timeout}; it must be more than 0 and finite"
             )
-        for name in ("workers", "limit", "sample", "futures", "replan_every", "memory_limit"):
+        for name in ("workers", "limit", "sample", "futures", "memory_limit"):
             value = getattr(self, name)
             if value is not None and value <= 0:
                 raise RunError(f"{name} is {value}; it must be more than 0")
         if self.seed < 0:
             raise RunError(f"seed is {self.seed}; it must not be negative")
-        for name in ("planner_options", "predictor_options", "traffic_options"):
+        for name in ("planner_options", "predictor_options", "traffic_options", "loop_options"):
             object.__setattr__(self, name, _plain(getattr(self, name), name))
+        try:
+            choose_loop(self.loop, self.loop_options)
+        except SettingsError as error:
+            raise RunError(str(error)) from None
+
+    @property
+    def chosen_loop(self) -> LoopSettings:
+        """The loop that ``loop`` and ``loop_options`` name."""
+        return choose_loop(self.loop, self.loop_options)
 
 
 def default_folder() -> Path:

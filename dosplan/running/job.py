@@ -24,7 +24,7 @@ from dosplan.running.config import RunConfig, RunError
 from dosplan.scenario import ScenarioError, ScenarioRef, load_scenario
 from dosplan.scoring.score import failed_score
 from dosplan.scoring.usable import unusable
-from dosplan.simulation.loop import SimulationConfig, run_episode
+from dosplan.simulation.loop import run_episode
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import one_line
 from dosplan.system.workers import seed_globals
@@ -121,7 +121,7 @@ class Session:
             planner, predictor, traffic = plugins
             seed_globals(config.seed)
             scenario = load_scenario(task.ref, cached=config.cache)
-            loop = SimulationConfig(replan_every=config.replan_every)
+            loop = config.chosen_loop
             episode = run_episode(
                 scenario, planner, predictor, task.arm, loop, traffic, raised.append
             )
@@ -190,10 +190,12 @@ def make_plugins(config: RunConfig) -> Plugins:
     """
     planner = create_planner(config.planner, config.seed, config.planner_options)
     predictor = create_predictor(config.predictor, config.seed, config.predictor_options)
-    if predictor.horizon < planner.look_ahead:
+    late = config.chosen_loop.latency_steps
+    if predictor.horizon < planner.look_ahead + late:
+        lost = f", of which the loop's latency takes {late}" if late else ""
         raise RunError(
             f"planner {planner.name} looks {planner.look_ahead} steps ahead, predictor "
-            f"{predictor.name} predicts {predictor.horizon}; raise predictor.horizon"
+            f"{predictor.name} predicts {predictor.horizon}{lost}; raise predictor.horizon"
         )
     traffic = create_traffic(config.traffic, config.seed, config.traffic_options)
     if isinstance(predictor, OraclePredictor) and not traffic.as_recorded:

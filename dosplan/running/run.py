@@ -22,6 +22,7 @@ from itertools import product
 from typing import Any, Final
 
 from dosplan.api import OraclePredictor
+from dosplan.plugins.loops import record_loop
 from dosplan.plugins.registry import (
     PluginKind,
     choose_planner,
@@ -45,6 +46,7 @@ from dosplan.scenario import ScenarioRef, find_scenarios
 from dosplan.scenario.sources.catalogue import find_ids
 from dosplan.scenario.sources.selection import matching, sampled
 from dosplan.scoring.score import unusable_score
+from dosplan.simulation.settings import loop_name
 from dosplan.system.files import remove_half_written, write_bytes, write_text
 from dosplan.system.locks import exclusive
 from dosplan.system.provenance import content_digest, describe_environment
@@ -97,8 +99,8 @@ def run(
         observer.begin(episodes, kept, config.futures)
         if left:
             with (executor or _executor(config)).start(config) as workers:
-                left = _check(folder, manifest.traffic, workers, kept, left, observer)
-                _drive(folder, manifest.traffic, workers.drive(left), observer)
+                left = _check(folder, manifest, workers, kept, left, observer)
+                _drive(folder, manifest, workers.drive(left), observer)
         else:
             observer.checked((), unusable_scenarios(kept))
         by_key = {row.key: row for row in read_rows(folder.rows)}
@@ -147,7 +149,7 @@ def _unfinished(folder: RunFolder, tasks: Sequence[Task]) -> tuple[list[Score], 
 
 def _check(
     folder: RunFolder,
-    traffic: str,
+    manifest: RunManifest,
     workers: Workers,
     kept: Sequence[Score],
     left: Sequence[Task],
@@ -169,7 +171,7 @@ def _check(
                 reasons[ref.id] = reason
             observer.checking(done, len(refs))
     rows = [
-        replace(unusable_score(task.key, reasons[task.ref.id]), traffic=traffic)
+        manifest.row(unusable_score(task.key, reasons[task.ref.id]))
         for task in left
         if task.ref.id in reasons
     ]
@@ -181,12 +183,12 @@ def _check(
     return [task for task in left if task.ref.id not in reasons]
 
 
-def _drive(folder: RunFolder, traffic: str, results: Results, observer: Observer) -> None:
+def _drive(folder: RunFolder, manifest: RunManifest, results: Results, observer: Observer) -> None:
     """Has episodes driven and writes what they give as they end."""
     with folder.rows.open("ab", buffering=0) as file, closing(results):
         for _, result in results:
             _write_files(folder, result)
-            row = replace(result.row, traffic=traffic)  # Absent where the episode never began.
+            row = manifest.row(result.row)
             append_row(file, row)
             observer.add(row)
 
@@ -231,10 +233,13 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
         planner=planner.plugin.name,
         predictor=predictor.plugin.name,
         traffic=traffic.plugin.name,
+        loop=loop_name(config.chosen_loop),
+        reproducible=not config.chosen_loop.real_time,
         settings={
             "planner": record(planner),
             "predictor": record(predictor),
             "traffic": record(traffic),
+            "loop": record_loop(config.chosen_loop),
         },
         scenarios=tuple(ref.id for ref in refs),
         digests={

@@ -185,6 +185,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         error=episode.error if outcome is Outcome.PLANNER_FAILURE else None,
         traffic=episode.traffic,
         future=episode.future,
+        loop=episode.loop,
         measures=measured(part),
     )
 

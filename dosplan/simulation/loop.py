@@ -1,56 +1,40 @@
 """One closed-loop episode: observe, predict, plan, drive a step, again.
 
 The ego moves by the vehicle model, the other road users by the traffic. At each step the
-planner's next input is cut to what the actuators can deliver and held for one step.
+planner's next input is cut to what the actuators can deliver and held for one step. How often
+the ego plans, how late its plans act and what it sees is the loop's (``LoopSettings``).
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dosplan.api import OraclePredictor, Planner, PluginError, Predictor
 from dosplan.geometry.goal import goal_reached
+from dosplan.simulation.settings import IDEAL, LoopSettings, loop_name
 from dosplan.simulation.traffic import Replay, Traffic, empty_tracks
 from dosplan.simulation.world import World
 from dosplan.system.errors import failure_place, one_line
 from dosplan.types import (
     EGO_HEADING,
     EGO_VELOCITY,
-    HISTORY_STEPS,
+    USER_SIZE,
     Arm,
     Episode,
     EpisodeEnd,
     FloatArray,
+    IntArray,
     Observation,
     Occupancy,
     Plan,
     Scenario,
+    Sightings,
 )
-
-
-@dataclass(frozen=True)
-class SimulationConfig:
-    """How an episode is driven.
-
-    Attributes:
-        replan_every: Steps that are driven from each plan.
-        history: Steps H of an observation, the present one included.
-    """
-
-    replan_every: int = 1
-    history: int = HISTORY_STEPS
-
-    def __post_init__(self) -> None:
-        for name in ("replan_every", "history"):
-            if getattr(self, name) < 1:
-                raise ValueError(
-                    f"SimulationConfig.{name} is {getattr(self, name)}; it must be 1 or more"
-                )
 
 
 class _PluginFailedError(Exception):
@@ -61,15 +45,25 @@ class _PluginFailedError(Exception):
         self.cause = cause
 
 
-@dataclass
-class _Log:
-    """The planning cycles of an episode so far."""
+@dataclass(frozen=True)
+class _Cycle:
+    """A planning cycle: what was seen of whom, and what was made of it.
 
-    predict_seconds: list[float] = field(default_factory=list)
-    plan_seconds: list[float] = field(default_factory=list)
-    plans: list[Plan] = field(default_factory=list)
-    occupancies: list[Occupancy] = field(default_factory=list)
-    cycle_steps: list[int] = field(default_factory=list)
+    The plan begins at the step ``acts``.
+    """
+
+    seen_step: int
+    seen_ids: IntArray
+    seen_states: FloatArray
+    acts: int
+    occupancy: Occupancy
+    plan: Plan
+    predict_seconds: float
+    plan_seconds: float
+
+    @property
+    def seconds(self) -> float:
+        return self.predict_seconds + self.plan_seconds
 
 
 def run_episode(
@@ -77,7 +71,7 @@ def run_episode(
     planner: Planner,
     predictor: Predictor,
     arm: Arm,
-    config: SimulationConfig = SimulationConfig(),
+    loop: LoopSettings = IDEAL,
     traffic: Traffic | None = None,
     on_failure: Callable[[BaseException], None] = lambda error: None,
 ) -> Episode:
@@ -87,13 +81,19 @@ def run_episode(
     the planner, the predictor or the traffic raises. The start counts: a goal that holds there at
     once makes an episode of zero steps, as it does for CommonRoad's own goal check.
 
+    In a loop with a latency, a plan is made of what was seen at a step and acts from a later one
+    on; the plan before acts until then. The planner gets the ego's state at that later step, which
+    follows from the inputs that are on their way. The first plan acts at once: the ego is under
+    way when the episode begins, and nothing that was seen before is known.
+
     Args:
         scenario: What to drive.
         planner: Drives the ego; ``reset`` is called here.
         predictor: Predicts the road users; ``reset`` is called here.
         arm: ``WITHOUT_DOS`` sets the semi-axes of every prediction to zero before it is planned.
-        config: How the loop runs.
-        traffic: Moves the other road users; a replay of the recording by default.
+        loop: How often, how late and of what the ego plans.
+        traffic: Moves the other road users; a replay of the recording by default. Its seed and its
+            future are those of the errors of what the ego sees, too.
         on_failure: Called with what a plug-in raised, traceback and all.
 
     Returns:
@@ -101,17 +101,19 @@ def run_episode(
         ``"planner NAME: ExceptionType: message (file:line)"``; it is never raised.
     """
     traffic = Replay() if traffic is None else traffic
-    log = _Log()
+    log: list[_Cycle] = []
     world: World | None = None
     error: str | None = None
     try:
         with _closed_at_the_end(traffic):
             with _named_failure("traffic", traffic):
-                world = World(scenario, traffic, history=config.history)
-            end = _drive(world, planner, predictor, arm, config, log)
+                world = World(scenario, traffic, loop=loop)
+            end = _drive(world, planner, predictor, arm, loop, log)
     except _PluginFailedError as failure:
         end, error = EpisodeEnd.PLANNER_FAILURE, str(failure)
         on_failure(failure.cause)
+    last = scenario.task.start_step if world is None else world.now
+    cycles = [cycle for cycle in log if cycle.acts <= last]  # The others never came to act.
     return Episode(
         scenario_id=scenario.id,
         arm=arm,
@@ -120,15 +122,17 @@ def run_episode(
         inputs=np.empty((0, 2)) if world is None else world.inputs,
         tracks=empty_tracks(scenario.task.start_step + 1) if world is None else world.tracks,
         end=end,
-        predict_seconds=np.array(log.predict_seconds),
-        plan_seconds=np.array(log.plan_seconds),
-        plans=tuple(log.plans),
-        occupancies=tuple(log.occupancies),
-        cycle_steps=np.array(log.cycle_steps, dtype=np.int64),
+        predict_seconds=np.array([cycle.predict_seconds for cycle in cycles]),
+        plan_seconds=np.array([cycle.plan_seconds for cycle in cycles]),
+        plans=tuple(cycle.plan for cycle in cycles),
+        occupancies=tuple(cycle.occupancy for cycle in cycles),
+        cycle_steps=np.array([cycle.acts for cycle in cycles], dtype=np.int64),
         error=error,
         traffic=traffic.name,
         future=traffic.future,
         signals=None if world is None else world.signals,
+        loop=loop_name(loop),
+        sightings=None if loop.sensing.exact and not loop.late else _sightings(cycles),
     )
 
 
@@ -160,13 +164,23 @@ def known_drive(scenario: Scenario, arm: Arm, start_step: int, states: FloatArra
     )
 
 
+def _sightings(cycles: Sequence[_Cycle]) -> Sightings:
+    """What the plans of an episode were made from."""
+    return Sightings(
+        steps=np.array([cycle.seen_step for cycle in cycles], dtype=np.int64),
+        cycle=np.repeat(np.arange(len(cycles)), [len(cycle.seen_ids) for cycle in cycles]),
+        ids=np.concatenate([np.empty(0, dtype=np.int64), *(cycle.seen_ids for cycle in cycles)]),
+        states=np.concatenate([np.empty((0, USER_SIZE)), *(c.seen_states for c in cycles)]),
+    )
+
+
 def _drive(
     world: World,
     planner: Planner,
     predictor: Predictor,
     arm: Arm,
-    config: SimulationConfig,
-    log: _Log,
+    loop: LoopSettings,
+    log: list[_Cycle],
 ) -> EpisodeEnd:
     """Drives to the end; world and ``log`` stay right when a plug-in raises."""
     scenario, task = world.scenario, world.scenario.task
@@ -182,7 +196,9 @@ def _drive(
     with _named_failure("planner", planner):
         planner.reset(task, scenario.road_map, task.vehicle)
 
-    pending: deque[FloatArray] = deque()
+    period, latency = loop.period_steps, loop.latency_steps
+    coming: list[FloatArray] = []  # Inputs from now on, as the plans so far have it.
+    look = world.now  # Step of the next observation.
     while True:
         state = world.ego
         heading, velocity = float(state[EGO_HEADING]), float(state[EGO_VELOCITY])
@@ -190,40 +206,90 @@ def _drive(
             return EpisodeEnd.GOAL_REACHED
         if world.now >= task.final_step:
             return EpisodeEnd.TIME_OVER
-        if not pending:
-            wanted = min(config.replan_every, task.final_step - world.now)
-            plan = _cycle(world.observation(), planner, predictor, arm, wanted, log)
-            pending.extend(plan.inputs[:wanted])
+        delay, left = latency if log else 0, task.final_step - world.now
+        if world.now == look and delay < left:
+            cycle = _cycle(world, coming[:delay], planner, predictor, arm)
+            busy = math.ceil(cycle.seconds / scenario.dt) if loop.real_time and log else 0
+            look += period * max(math.ceil(busy / period), 1)
+            until = coming[: delay + busy]
+            with _named_failure("planner", planner):
+                _check_lasting(until, cycle, busy, min(look - world.now + latency, left))
+            coming = [*until, *cycle.plan.inputs[busy:]]
+            log.append(cycle)
         with _named_failure("traffic", world.traffic):
-            world.step(pending.popleft())
+            world.step(coming.pop(0))
+
+
+def _check_lasting(until: Sequence[FloatArray], cycle: _Cycle, busy: int, steps: int) -> None:
+    """Refuses a plan that comes after the last one's end, or ends before the next one acts.
+
+    Args:
+        until: Inputs that are driven before the plan.
+        cycle: The plan.
+        busy: Steps that were lost while it was made.
+        steps: Steps from now on that have to be driven, until the next plan acts.
+    """
+    begins = cycle.acts + busy - cycle.seen_step
+    if len(until) < min(begins, steps):
+        raise PluginError(
+            f"the last plan ends before this one is there, which took {cycle.seconds:.2f} s; "
+            "plan further, or faster"
+        )
+    wanted = steps - (begins - busy)
+    if len(cycle.plan.inputs) < wanted:
+        raise PluginError(
+            f"the plan holds {len(cycle.plan.inputs)} inputs, but {wanted} steps are driven "
+            "from it; plan further, or lower period or latency of the loop"
+        )
 
 
 def _cycle(
-    observation: Observation,
+    world: World,
+    on_their_way: Sequence[FloatArray],
     planner: Planner,
     predictor: Predictor,
     arm: Arm,
-    wanted: int,
-    log: _Log,
-) -> Plan:
-    """One prediction and one plan with at least ``wanted`` inputs."""
+) -> _Cycle:
+    """One prediction and one plan, of what is seen now.
+
+    Args:
+        world: The world now.
+        on_their_way: Inputs that act before the plan does.
+        planner: The planner.
+        predictor: The predictor.
+        arm: The arm.
+
+    Returns:
+        The cycle.
+    """
+    seen, delay = world.observation(), len(on_their_way)
     with _named_failure("predictor", predictor):
-        occupancy = predictor.predict(observation)
+        occupancy = predictor.predict(seen)
     if arm is Arm.WITHOUT_DOS:
         occupancy = occupancy.without_sets()
+    known = seen
+    if delay:
+        occupancy = occupancy.later(delay)
+        known = _when_it_acts(seen, world.foresee(on_their_way))
     with _named_failure("planner", planner):
-        plan = planner.plan(observation, occupancy)
-        if len(plan.inputs) < wanted:
-            raise PluginError(
-                f"the plan holds {len(plan.inputs)} inputs, but {wanted} steps are driven "
-                "from it; plan further or lower replan_every"
-            )
-    log.predict_seconds.append(predictor.last_seconds)
-    log.plan_seconds.append(planner.last_seconds)
-    log.plans.append(plan)
-    log.occupancies.append(occupancy)
-    log.cycle_steps.append(observation.step)
-    return plan
+        plan = planner.plan(known, occupancy)
+    return _Cycle(
+        seen_step=seen.step,
+        seen_ids=seen.ids,
+        seen_states=np.array(seen.states[:, -1]),
+        acts=known.step,
+        occupancy=occupancy,
+        plan=plan,
+        predict_seconds=predictor.last_seconds,
+        plan_seconds=planner.last_seconds,
+    )
+
+
+def _when_it_acts(seen: Observation, ahead: FloatArray) -> Observation:
+    """What is known at the step at which a plan acts: where the ego is, and what was seen."""
+    delay = len(ahead) - 1
+    history = np.concatenate([seen.ego_history, ahead[1:]])[delay:]
+    return replace(seen, step=seen.step + delay, ego=ahead[-1], ego_history=history, delay=delay)
 
 
 @contextmanager

@@ -139,6 +139,11 @@ class LoopSettings:
         """Steps from an observation to the first that is driven from it."""
         return round(self.latency / STEP_SECONDS)
 
+    @property
+    def late(self) -> bool:
+        """Whether a plan acts later than what it is made from was seen."""
+        return self.latency_steps > 0 or self.real_time
+
 
 IDEAL: Final = LoopSettings()
 REALISTIC: Final = LoopSettings(

@@ -212,14 +212,27 @@ class Replay(Traffic):
             return RoadUsers(
                 np.empty(0, dtype=np.int64), (), np.empty((0, 2)), np.empty((0, USER_SIZE))
             )
-        present = np.flatnonzero(tracks.valid[:, step])
-        return RoadUsers(
-            ids=tracks.ids[present],
-            kinds=tuple(tracks.kinds[i] for i in present),
-            size=tracks.size[present],
-            states=tracks.states[present, step],
-            outlines=tuple(tracks.outlines[i] for i in present),
-        )
+        return users_at(tracks, step)
+
+
+def users_at(tracks: Tracks, step: int) -> RoadUsers:
+    """The road users of tracks that are on the scene at a step.
+
+    Args:
+        tracks: The tracks.
+        step: One of their steps.
+
+    Returns:
+        The road users, in the tracks' order.
+    """
+    present = np.flatnonzero(tracks.valid[:, step])
+    return RoadUsers(
+        ids=tracks.ids[present],
+        kinds=tuple(tracks.kinds[i] for i in present),
+        size=tracks.size[present],
+        states=tracks.states[present, step],
+        outlines=tuple(tracks.outlines[i] for i in present),
+    )
 
 
 def empty_tracks(steps: int) -> Tracks:

@@ -6,16 +6,21 @@ ego's states and inputs, and the tracks of the road users.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from dosplan.api import PluginError
-from dosplan.simulation.traffic import Replay, RoadUsers, Traffic
+from dosplan.simulation.actuators import Actuators
+from dosplan.simulation.sensing import Sensors
+from dosplan.simulation.settings import IDEAL, LoopSettings
+from dosplan.simulation.traffic import Replay, RoadUsers, Traffic, users_at
 from dosplan.types import (
     COLOURS,
+    EGO_HEADING,
     EGO_SIZE,
+    EGO_VELOCITY,
     HISTORY_STEPS,
     USER_SIZE,
     FloatArray,
@@ -45,6 +50,7 @@ class World:
         *,
         first_step: int | None = None,
         history: int = HISTORY_STEPS,
+        loop: LoopSettings = IDEAL,
     ) -> None:
         """Puts the ego at its start.
 
@@ -53,17 +59,33 @@ class World:
             traffic: Moves the road users; a replay of the recording by default.
             first_step: Step at which the ego is at its start; that of the task by default.
             history: Steps H that an observation shows, the present one included.
+            loop: What the ego sees of the road users, and how it follows its inputs.
         """
         self.scenario = scenario
         self.traffic = Replay() if traffic is None else traffic
         self.start_step = scenario.task.start_step if first_step is None else first_step
         self._history = history
+        vehicle, dt = scenario.task.vehicle, scenario.dt
+        self._actuators = Actuators(loop.actuators, vehicle, dt)
+        self._output = self._actuators.at_rest
         self._states: list[FloatArray] = [np.array(scenario.task.start)]
         self._inputs: list[FloatArray] = []
         past = self.traffic.begin(scenario, self.start_step)
         if not isinstance(past, Tracks) or past.steps != self.start_step + 1:
             raise PluginError(f"begin must return Tracks of the steps 0 to {self.start_step}")
-        self._others = _Others(past, max(scenario.task.final_step, self.start_step) + 1)
+        steps = max(scenario.task.final_step, self.start_step) + 1
+        self._others = _Others(past, steps)
+        self._sensors: Sensors | None = None
+        if not loop.sensing.exact:
+            self._sensors = Sensors(
+                loop.sensing,
+                dt,
+                steps,
+                scenario=scenario.id,
+                seed=self.traffic.seed,
+                future=self.traffic.future,
+            )
+            self._look_back(self._sensors, past)
         self._lights: list[LightStates] = []
         self._look_at_lights()
 
@@ -112,6 +134,16 @@ class World:
             since=np.stack([at.since for at in shown], axis=1),
         )
 
+    def _look_back(self, sensors: Sensors, past: Tracks) -> None:
+        """What was seen until the start, of an ego that came straight on at its velocity."""
+        task = self.scenario.task
+        heading, velocity = task.start[EGO_HEADING], task.start[EGO_VELOCITY]
+        a_step = velocity * self.scenario.dt * np.array([np.cos(heading), np.sin(heading)])
+        centre = task.vehicle.centre(task.start)
+        for step in range(max(self.start_step - self._history + 1, 0), self.start_step + 1):
+            eye = centre - (self.start_step - step) * a_step
+            sensors.look(step, eye, users_at(past, step))
+
     def _look_at_lights(self) -> None:
         """Asks the traffic what the lights show now."""
         lights = self.traffic.lights(self.now)
@@ -128,12 +160,14 @@ class World:
         from it, not even through ``ndarray.base``.
 
         Returns:
-            The observation. Ego states before the start and road users before step 0 are NaN.
+            The observation. Ego states before the start and road users before step 0 are NaN. The
+            road users are as the ego's sensors see them.
         """
         recent = self._states[-self._history :]
         ego_history = np.full((self._history, EGO_SIZE), np.nan)
         ego_history[self._history - len(recent) :] = recent
-        ids, kinds, size, states, valid = self._others.seen(self.now, self._history)
+        seen = self._others if self._sensors is None else self._sensors
+        ids, kinds, size, states, valid = seen.seen(self.now, self._history)
         return Observation(
             step=self.now,
             dt=self.scenario.dt,
@@ -159,12 +193,31 @@ class World:
             PluginError: The traffic broke its contract.
         """
         vehicle, dt = self.scenario.task.vehicle, self.scenario.dt
-        applied = vehicle.clip_input(self.ego, wanted, dt)
+        applied, output = self._actuators.follow(self.ego, wanted, self._output)
         states = [*self._states, vehicle.step(self.ego, applied, dt)]
-        self._others.add(self.now + 1, self.traffic.step(self.now + 1, np.stack(states)))
-        self._states = states
+        users = self.traffic.step(self.now + 1, np.stack(states))
+        self._others.add(self.now + 1, users)
+        self._states, self._output = states, output
         self._inputs.append(applied)
         self._look_at_lights()
+        if self._sensors is not None:
+            self._sensors.look(self.now, vehicle.centre(self.ego), users)
+
+    def foresee(self, inputs: Sequence[FloatArray]) -> FloatArray:
+        """Where the ego gets by inputs that are on their way to the actuators.
+
+        Args:
+            inputs: S inputs, as ``step`` takes them.
+
+        Returns:
+            (S + 1, 5) ego states from now on, the same to the last bit as when they are driven.
+        """
+        vehicle, dt = self.scenario.task.vehicle, self.scenario.dt
+        states, output = [self.ego], self._output
+        for wanted in inputs:
+            applied, output = self._actuators.follow(states[-1], wanted, output)
+            states.append(vehicle.step(states[-1], applied, dt))
+        return np.stack(states)
 
     def wait(self) -> None:
         """Lets one step pass in which the ego stays where it is, with no other history.

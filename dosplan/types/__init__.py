@@ -39,6 +39,7 @@ from dosplan.types.episode import (
     EpisodeEnd,
     EpisodeKey,
     ScenarioFuture,
+    Sightings,
 )
 from dosplan.types.lights import COLOURS, LightColour, LightStates, Signals
 from dosplan.types.planning import (
@@ -119,6 +120,7 @@ __all__ = [
     "ScenarioFuture",
     "Score",
     "ShapeError",
+    "Sightings",
     "SignRule",
     "Signals",
     "SolveReport",

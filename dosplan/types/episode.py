@@ -9,7 +9,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from dosplan.types.arrays import EGO_SIZE, FloatArray, IntArray, ShapeError, frozen
+from dosplan.types.arrays import (
+    EGO_SIZE,
+    USER_SIZE,
+    FloatArray,
+    IntArray,
+    ShapeError,
+    frozen,
+)
 from dosplan.types.lights import Signals
 from dosplan.types.planning import Occupancy, Plan, SolveReport
 from dosplan.types.scenario import Tracks
@@ -68,6 +75,30 @@ class EpisodeEnd(StrEnum):
 
 
 @dataclass(frozen=True)
+class Sightings:
+    """What the ego saw of the road users, for each of C planning cycles; M sightings in all.
+
+    Attributes:
+        steps: (C,) step at which was seen what the cycle's plan is made from.
+        cycle: (M,) index of the cycle.
+        ids: (M,) id of the road user.
+        states: (M, 4) road-user state as it was seen.
+    """
+
+    steps: IntArray
+    cycle: IntArray
+    ids: IntArray
+    states: FloatArray
+
+    def __post_init__(self) -> None:
+        frozen(self, "steps", np.int64, (None,))
+        frozen(self, "cycle", np.int64, (None,))
+        m = len(self.cycle)
+        frozen(self, "ids", np.int64, (m,))
+        frozen(self, "states", np.float64, (m, USER_SIZE), finite=True)
+
+
+@dataclass(frozen=True)
 class Episode:
     """Everything that happened in one closed-loop run.
 
@@ -83,11 +114,15 @@ class Episode:
         plan_seconds: (C,) wall-clock time of each plan, s.
         plans: The C plans.
         occupancies: The C occupancies that were handed to the planner.
-        cycle_steps: (C,) step at which each cycle ran.
+        cycle_steps: (C,) step at which each plan begins: that of the planner's observation, which
+            is later than what was seen by the loop's latency. The columns of its occupancy stand
+            for the steps after it.
         error: What went wrong, where ``end`` is ``PLANNER_FAILURE``.
         traffic: Name of the traffic.
         signals: The traffic lights as they were; None where that is as recorded.
         future: Which continuation of the scenario's past was driven.
+        loop: Name of the loop, as ``dosplan.simulation.settings.loop_name`` gives it.
+        sightings: What the ego saw; None where that is all there was, at the step of each cycle.
     """
 
     scenario_id: str
@@ -106,6 +141,8 @@ class Episode:
     traffic: str = "replay"
     signals: Signals | None = None
     future: int = 0
+    loop: str = "ideal"
+    sightings: Sightings | None = None
 
     def __post_init__(self) -> None:
         frozen(self, "inputs", np.float64, (None, 2), finite=True)
@@ -117,6 +154,10 @@ class Episode:
         if len(self.occupancies) != c:
             raise ShapeError(
                 f"Episode.occupancies has {len(self.occupancies)} entries, expected {c}"
+            )
+        if self.sightings is not None and len(self.sightings.steps) != c:
+            raise ShapeError(
+                f"Episode.sightings is of {len(self.sightings.steps)} cycles, expected {c}"
             )
 
     @property
@@ -144,6 +185,10 @@ class DrivenEpisode(Protocol):
         """Name of the traffic."""
 
     @property
+    def loop(self) -> str:
+        """Name of the loop."""
+
+    @property
     def signals(self) -> Signals | None:
         """The traffic lights as they were; None where that is as recorded."""
 
@@ -169,7 +214,7 @@ class DrivenEpisode(Protocol):
 
     @property
     def cycle_steps(self) -> IntArray:
-        """(C,) step at which each planning cycle ran."""
+        """(C,) step at which each plan begins."""
 
     @property
     def predict_seconds(self) -> FloatArray:

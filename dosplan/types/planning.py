@@ -12,7 +12,11 @@ import numpy as np
 
 from dosplan.types.arrays import (
     EGO_SIZE,
+    USER_HEADING,
     USER_SIZE,
+    USER_VELOCITY,
+    USER_X,
+    USER_Y,
     BoolArray,
     FloatArray,
     IntArray,
@@ -30,19 +34,27 @@ HISTORY_STEPS: Final = 31  # Steps of the past that a predictor sees, the presen
 class Observation:
     """What a planner and a predictor may know at a step. The future is unreachable from it.
 
+    In an imperfect loop (``docs/loop.md``) road users are as the ego's sensors see them, and what
+    is planned acts only later. A planner then gets an observation of the step at which its plan
+    will act: ``step`` and ``ego`` are of that moment, and the road users and lights are those
+    that were seen ``delay`` steps before. A predictor gets what was seen, with a ``delay`` of 0;
+    what it predicts is shifted to the planner's step.
+
     Attributes:
         step: The present step.
         dt: Step, s.
         ego: (5,) ego state now.
         ego_history: (H, 5) ego states at steps ``step - H + 1 .. step``; NaN before the start.
-        ids: (N,) ids of the road users that are on the scene now.
+        ids: (N,) ids of the road users that are seen.
         kinds: N kinds.
         size: (N, 2) length and width, m.
-        states: (N, H, 4) road-user states at the same steps; NaN where not ``valid``.
-        valid: (N, H) whether the road user was on the scene; the last column is all True.
+        states: (N, H, 4) road-user states at steps ``seen_step - H + 1 .. seen_step``; NaN where
+            not ``valid``.
+        valid: (N, H) whether the road user was seen; the last column is all True.
         road_map: The map.
         task: Start, goal and route.
-        lights: What every traffic light shows now, and for how long it has.
+        lights: What every traffic light showed at ``seen_step``, and for how long it had.
+        delay: Steps since the road users were seen.
     """
 
     step: int
@@ -57,6 +69,7 @@ class Observation:
     road_map: RoadMap
     task: PlanningTask
     lights: LightStates = field(default_factory=LightStates)
+    delay: int = 0
 
     def __post_init__(self) -> None:
         frozen(self, "ego", np.float64, (EGO_SIZE,), finite=True)
@@ -76,6 +89,21 @@ class Observation:
     def moves(self) -> BoolArray:
         """(N,) whether each road user can move at all, see ``RoadUserKind.moves``."""
         return np.array([kind.moves for kind in self.kinds], dtype=np.bool_)
+
+    @property
+    def seen_step(self) -> int:
+        """The step at which the road users were seen; ``step`` in the ideal loop."""
+        return self.step - self.delay
+
+    @property
+    def present(self) -> FloatArray:
+        """(N, 4) road-user states at ``step``: those seen last, carried on at constant velocity."""
+        states = np.array(self.states[:, -1])
+        if self.delay:
+            heading, way = states[:, USER_HEADING], states[:, USER_VELOCITY] * self.delay * self.dt
+            states[:, USER_X] += way * np.cos(heading)
+            states[:, USER_Y] += way * np.sin(heading)
+        return states
 
 
 @dataclass(frozen=True)
@@ -172,6 +200,18 @@ class Occupancy:
             return self
         parts = ("centre", "semi_axes", "angle", "valid", "heading")
         return replace(self, **{name: getattr(self, name)[:, :count] for name in parts})
+
+    def later(self, steps: int) -> Self:
+        """The same as it is for a planner that acts some steps after what was observed.
+
+        Args:
+            steps: Number of steps by which column 0 moves on.
+
+        Returns:
+            Every array without its first columns.
+        """
+        parts = ("centre", "semi_axes", "angle", "valid", "heading")
+        return replace(self, **{name: getattr(self, name)[:, steps:] for name in parts})
 
     def without_sets(self) -> Self:
         """The same predicted positions with semi-axes of zero: the *without DOS* arm."""

@@ -71,6 +71,7 @@ class Score:
             the reason; None otherwise.
         traffic: Name of the traffic; ``replay`` in rows of versions without it.
         future: Which continuation of the scenario's past was driven; 0 where there is one.
+        loop: Name of the loop; ``ideal`` in rows of versions without it.
         measures: Values of the metrics that are measured on the episode, by name
             (``dosplan.scoring.metrics``); None too where a row of an earlier version lacks one.
     """
@@ -99,6 +100,7 @@ class Score:
     error: str | None = None
     traffic: str = "replay"
     future: int = 0
+    loop: str = "ideal"
     measures: Mapping[str, Measure] = field(default_factory=dict)
 
     @property

@@ -146,7 +146,7 @@ def find_leaders(
     side = 0.5 * vehicle.width + settings.side_margin
     blocks = valid & (lateral.min(axis=-1) < side) & (lateral.max(axis=-1) > -side)
 
-    now = path.locate(observation.states[:, -1, :2])
+    now = path.locate(observation.present[:, :2])
     then = path.locate(corners.mean(axis=-2))
     way = then - now[:, None]
     time = observation.dt * np.arange(1, steps + 1)

@@ -68,7 +68,7 @@ class Lane:
         settings, cruise, pressed = self.settings, self.start_velocity, False
         if len(observation.ids) == 0:
             return Traffic(cruise, pressed, np.zeros(0, dtype=np.bool_))
-        now = observation.states[:, -1]
+        now = observation.present
         points = now[:, [USER_X, USER_Y]]
         along, across = self.path.project(points, self.path.locate(points), iterations=1)
         turn = now[:, USER_HEADING] - self.path.at(along)[:, PATH_HEADING]

@@ -70,7 +70,7 @@ def test_an_episode_is_that_of_a_run(scenes: Path, results: Results) -> None:
 
 def test_plug_ins_of_an_episode_may_be_names(scenes: Path) -> None:
     scenario = dosplan.load_scenario(dosplan.find_scenarios(scenes)[0])
-    named = dosplan.run_episode(scenario, "cruise", "none", replan_every=5)
+    named = dosplan.run_episode(scenario, "cruise", "none", loop_options={"period": 0.5})
     assert len(named.episode.plans) == -(-named.row.steps // 5)
     with pytest.raises(RegistryError, match="did you mean 'cruise'"):
         dosplan.run_episode(scenario, "cruize", "none")

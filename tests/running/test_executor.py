@@ -45,9 +45,9 @@ def scenes(tmp_path: Path) -> Path:
 
 def test_rows_are_the_same_wherever_they_are_driven(tmp_path: Path) -> None:
     # The shipped planner and predictor on the suite: solver, sampler, networks, random numbers.
-    config = RunConfig(out=tmp_path / "processes", limit=1, replan_every=5)
+    config = RunConfig(out=tmp_path / "processes", limit=1, loop_options={"period": 0.5})
     run(config, executor=LocalExecutor(2))
-    options = f"--in-process --limit 1 --replan-every 5 --quiet --out {tmp_path / 'serial'}"
+    options = f"--in-process --limit 1 --set loop.period=0.5 --quiet --out {tmp_path / 'serial'}"
     serial = [sys.executable, "-m", "dosplan", "run", *options.split()]
     subprocess.run(serial, env=os.environ | WORKER_ENVIRONMENT, check=True)
     assert untimed(tmp_path / RUNS[0]) == untimed(tmp_path / RUNS[1])

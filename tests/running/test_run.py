@@ -155,6 +155,7 @@ def test_a_run_of_another_default_is_another_run(scenes: Path, tmp_path: Path) -
     config = _config(tmp_path / "run", scenes, "TunedPlanner", limit=1)
     folder = run_here(config)
     manifest = read_json(folder.manifest)
+    assert manifest["settings"].pop("loop")["latency"] == 0.0
     assert manifest["settings"] == {
         "planner": {"acceleration": 0.0},
         "predictor": {"horizon": 40},
@@ -184,7 +185,8 @@ def test_one_arm_alone_has_no_comparison(scenes: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"workers": 1, "replan_every": 2}, "replan_every"),
+        ({"workers": 1, "loop_options": {"period": 0.2}}, "loop_options"),
+        ({"workers": 1, "loop": "realistic"}, "loop"),
         ({"seed": 1}, "seed"),
         ({"planner": f"{PLUGINS}:SlowPlanner"}, "planner"),
         ({"traffic": SHY}, "traffic"),
@@ -475,7 +477,9 @@ def test_bad_input_is_refused_before_a_folder_is_made(
         {"workers": 0},
         {"limit": 0},
         {"sample": 0},
-        {"replan_every": 0},
+        {"loop": "perfect"},
+        {"loop_options": {"period": 0.0}},
+        {"loop_options": {"latency": 0.25}},
         {"episode_timeout": 0.0},
         {"episode_timeout": float("nan")},
         {"episode_timeout": float("inf")},

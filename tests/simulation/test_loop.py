@@ -23,12 +23,14 @@ from shapely.geometry import box
 
 from dosplan.api import Planner, Predictor
 from dosplan.scenario.synthetic import busy_scenario, steady_tracks, straight_scenario
-from dosplan.simulation.loop import SimulationConfig, run_episode
+from dosplan.simulation.loop import run_episode
+from dosplan.simulation.settings import LoopSettings
 from dosplan.simulation.traffic import Replay
 from dosplan.simulation.world import World
 from dosplan.types import (
     EGO_VELOCITY,
     EGO_X,
+    HISTORY_STEPS,
     Arm,
     EpisodeEnd,
     GoalState,
@@ -177,12 +179,13 @@ def test_start_step_is_the_recordings() -> None:
 def test_history_before_the_start_and_before_the_recording_is_empty() -> None:
     scenario = straight_scenario(steady_tracks([[30.0, 0.0, 0.0, 8.0]]), start_step=2)
     planner = ConstantPlanner()
-    run_episode(scenario, planner, NonePredictor(), Arm.WITH_DOS, SimulationConfig(history=5))
+    run_episode(scenario, planner, NonePredictor(), Arm.WITH_DOS)
     first, second = planner.seen[0][0], planner.seen[1][0]
-    np.testing.assert_array_equal(first.valid, [[False, False, True, True, True]])
-    np.testing.assert_allclose(first.states[0, :, 0], [np.nan, np.nan, 30.0, 30.8, 31.6])
-    np.testing.assert_allclose(first.ego_history[:, EGO_X], [np.nan] * 4 + [0.0])
-    np.testing.assert_allclose(second.ego_history[:, EGO_X], [np.nan] * 3 + [0.0, 1.0])
+    before = HISTORY_STEPS - 3
+    np.testing.assert_array_equal(first.valid, [[False] * before + [True] * 3])
+    np.testing.assert_allclose(first.states[0, :, 0], [np.nan] * before + [30.0, 30.8, 31.6])
+    np.testing.assert_allclose(first.ego_history[:, EGO_X], [np.nan] * (before + 2) + [0.0])
+    np.testing.assert_allclose(second.ego_history[:, EGO_X], [np.nan] * (before + 1) + [0.0, 1.0])
     np.testing.assert_array_equal(second.ego, second.ego_history[-1])
 
 
@@ -203,36 +206,32 @@ def test_only_who_is_on_the_scene_is_seen_and_nobody_after_the_recording() -> No
 
 
 def test_replanning_less_often_drives_the_plans_next_inputs() -> None:
-    config = SimulationConfig(replan_every=3)
+    loop = LoopSettings(period=0.3)
     scenario = straight_scenario(final_step=10)
-    episode = run_episode(scenario, ConstantPlanner(), NonePredictor(), Arm.WITH_DOS, config)
+    episode = run_episode(scenario, ConstantPlanner(), NonePredictor(), Arm.WITH_DOS, loop)
     np.testing.assert_array_equal(episode.cycle_steps, [0, 3, 6, 9])
     assert len(episode.inputs) == 10
     for values in (episode.plans, episode.occupancies, episode.plan_seconds):
         assert len(values) == 4
     every = run_episode(scenario, BrakePlanner(), NonePredictor(), Arm.WITH_DOS)
-    seldom = run_episode(scenario, BrakePlanner(), NonePredictor(), Arm.WITH_DOS, config)
+    seldom = run_episode(scenario, BrakePlanner(), NonePredictor(), Arm.WITH_DOS, loop)
     np.testing.assert_allclose(seldom.states, every.states, atol=1e-12)
 
 
 def test_a_plan_is_as_long_as_it_is_driven() -> None:
     scenario = straight_scenario(final_step=10)
 
-    def drive(replan_every: int) -> Any:
-        config = SimulationConfig(replan_every=replan_every)
-        return run_episode(scenario, ShortPlanner(), NonePredictor(), Arm.WITH_DOS, config)
+    def drive(**loop: Any) -> Any:
+        settings = LoopSettings(**loop)
+        return run_episode(scenario, ShortPlanner(), NonePredictor(), Arm.WITH_DOS, settings)
 
-    assert drive(2).error is None
-    failed = drive(3)
-    assert failed.end is EpisodeEnd.PLANNER_FAILURE
-    assert "planner short-v1: PluginError: the plan holds 2 inputs, but 3 steps" in failed.error
-
-
-@pytest.mark.parametrize("field", ["replan_every", "history"])
-def test_config_refuses_less_than_one(field: str) -> None:
-    with pytest.raises(ValueError, match=f"{field} is 0; it must be 1 or more"):
-        SimulationConfig(**{field: 0})
-    SimulationConfig(**{field: 1})
+    assert drive(period=0.2).error is None
+    # The first plan has to last until the second one acts.
+    for loop in ({"period": 0.3}, {"period": 0.1, "latency": 0.2}):
+        failed = drive(**loop)
+        assert failed.end is EpisodeEnd.PLANNER_FAILURE
+        assert "planner short-v1: PluginError: the plan holds 2 inputs, but 3 steps" in failed.error
+        assert "\n" not in failed.error
 
 
 def test_a_planner_that_raises_ends_the_episode_and_keeps_what_was_driven() -> None:

@@ -15,7 +15,7 @@ from dosplan.report.html.sides import Pairing, Side
 from dosplan.results.comparison import compare_rows, paired_sides
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, read_manifest
-from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
+from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE, unranked_reason
 from dosplan.results.rows import read_run
 from dosplan.results.unusable import unusable_scenarios
 from dosplan.scenario.sources.catalogue import source_text
@@ -141,12 +141,15 @@ def _facts(manifest: RunManifest) -> dict[str, str]:
         "Sets and predictions": _settings(manifest.settings.get("predictor", {})),
         "Traffic": manifest.traffic,
         "Futures": str(config.futures) if config.futures > 1 else "",
+        "Loop": manifest.loop,
         "Options": ", ".join(f"{name} = {value}" for name, value in options.items()),
         "Scenarios": f"{len(manifest.scenarios)} of {source_text(config.source)}",
         "Seed": str(config.seed),
         "Started": manifest.started,
         "dosplan": f"{manifest.versions.get('dosplan', '')} ({str(manifest.git_revision)[:12]})",
-        "Rank": "" if config.ranked else "unranked: the predictor may see the future",
+        "Rank": ""
+        if config.ranked and manifest.reproducible
+        else f"unranked: {unranked_reason(manifest.reproducible)}",
     }
     return {name: value for name, value in facts.items() if value}
 

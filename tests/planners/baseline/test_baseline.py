@@ -33,7 +33,8 @@ from dosplan.scenario.synthetic import (
     straight_route,
     straight_scenario,
 )
-from dosplan.simulation.loop import SimulationConfig, run_episode
+from dosplan.simulation.loop import run_episode
+from dosplan.simulation.settings import LoopSettings
 from dosplan.simulation.world import World
 from dosplan.types import (
     EGO_HEADING,
@@ -133,7 +134,7 @@ def test_cruise_keeps_its_speed_whoever_is_in_the_way(velocity: float) -> None:
 
 NOBODY = np.empty(0)
 IDM = IdmSettings()
-SELDOM = SimulationConfig(replan_every=5)  # For speed: the model sees its leader in the plan.
+SELDOM = LoopSettings(period=0.5)  # For speed: the model sees its leader in the plan.
 
 
 def test_idm_has_its_free_roads_and_its_queues_equilibrium() -> None:

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 from dosplan.cli.arguments import SOURCE_HELP, add_json, add_seed, add_workers, console, show
-from dosplan.cli.command import FAILED, OK
+from dosplan.cli.command import FAILED, OK, CommandError
+
+if TYPE_CHECKING:
+    from dosplan.evaluation.evaluate import Progress
+    from dosplan.evaluation.methods import Method
 
 _EXAMPLES: Final = """\
 examples:
   dosplan evaluate my/scenarios --predictor constant-velocity --predictor growing-circle
   dosplan evaluate my/scenarios --methods predictors/simple.yaml --scale-on my/validation
+  dosplan evaluate suite --predictor dos --traffic reactive --futures 20
 """
 
 
@@ -49,11 +55,23 @@ class EvaluateCommand:
             help="recordings on which the sets of OSA@90 are scaled (default: those evaluated)",
         )
         parser.add_argument(
-            "--every",
+            "--every", type=int, metavar="N", help="steps between two predictions (default: 5)"
+        )
+        parser.add_argument(
+            "--futures",
             type=int,
-            default=5,
-            metavar="N",
-            help="steps between two predictions (default: %(default)s)",
+            metavar="K",
+            help="measure how often a set holds over K futures of the start of each scenario, not "
+            "over the recorded one; needs --traffic",
+        )
+        parser.add_argument(
+            "--traffic", metavar="NAME", help="traffic that has several futures, for --futures"
+        )
+        parser.add_argument(
+            "--level",
+            type=float,
+            metavar="SHARE",
+            help="what the sets are meant to cover, for --futures (default: 0.9)",
         )
         add_workers(parser)
         add_seed(parser)
@@ -68,31 +86,70 @@ class EvaluateCommand:
             0; 1 where a file could not be evaluated.
 
         Raises:
+            CommandError: Options do not go together.
             EvaluationError: The arguments make no sense, or nothing could be evaluated.
             MethodError: A method cannot be built.
+            RegistryError: There is no such traffic.
             ScenarioError: There are no scenarios.
             FileError: A file cannot be written.
         """
-        from dosplan.evaluation.evaluate import EvaluationConfig, evaluate
         from dosplan.evaluation.methods import Method, read_methods
         from dosplan.report.evaluation import evaluation_markdown, evaluation_tables
         from dosplan.report.progress import show_progress
         from dosplan.system.files import write_text
 
         listed = [method for path in options.methods for method in read_methods(path)]
-        config = EvaluationConfig(
-            source=options.source,
-            methods=(*listed, *(Method(name, name) for name in options.predictors)),
-            every=options.every,
-            scale_on=options.scale_on,
-            workers=options.workers,
-            seed=options.seed,
-        )
+        methods = (*listed, *(Method(name, name) for name in options.predictors))
+        measure = _over_recordings if options.futures is None else _over_futures
         with show_progress(console(stderr=True), "files") as progress:
-            figures = evaluate(config, progress)
+            figures = measure(options, methods, progress)
         for failure in figures["data"]["failed"]:
             print(failure["error"], file=sys.stderr)
         if options.markdown is not None:
             write_text(options.markdown, evaluation_markdown(figures))
         show([evaluation_tables(figures)], figures, options.json)
         return FAILED if figures["data"]["failed"] else OK
+
+
+def _over_recordings(
+    options: argparse.Namespace, methods: tuple[Method, ...], progress: Progress
+) -> dict[str, Any]:
+    from dosplan.evaluation.evaluate import EvaluationConfig, evaluate
+
+    _refuse(options, ("traffic", "level"), "goes with --futures only")
+    config = EvaluationConfig(
+        source=options.source,
+        methods=methods,
+        every=5 if options.every is None else options.every,
+        scale_on=options.scale_on,
+        workers=options.workers,
+        seed=options.seed,
+    )
+    return evaluate(config, progress)
+
+
+def _over_futures(
+    options: argparse.Namespace, methods: tuple[Method, ...], progress: Progress
+) -> dict[str, Any]:
+    from dosplan.evaluation.futures import FuturesConfig, evaluate_futures
+    from dosplan.evaluation.metrics import COVERAGE
+
+    _refuse(options, ("every", "scale_on"), "does not go with --futures")
+    if options.traffic is None:
+        raise CommandError("--futures needs a --traffic that has several futures, as reactive")
+    config = FuturesConfig(
+        source=options.source,
+        methods=methods,
+        traffic=options.traffic,
+        futures=options.futures,
+        level=COVERAGE if options.level is None else options.level,
+        workers=options.workers,
+        seed=options.seed,
+    )
+    return evaluate_futures(config, progress)
+
+
+def _refuse(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
+    for name in names:
+        if getattr(options, name) is not None:
+            raise CommandError(f"--{name.replace('_', '-')} {why}")

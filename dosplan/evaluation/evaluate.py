@@ -13,7 +13,7 @@ from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 from pebble import ProcessExpired
 
@@ -31,6 +31,7 @@ from dosplan.system.workers import cause_of_death, seed_globals, worker_pool
 from dosplan.types import HISTORY_STEPS
 
 Progress = Callable[[int, int], None]
+_Samples = TypeVar("_Samples")
 
 
 class EvaluationError(DosplanError, ValueError):
@@ -87,8 +88,8 @@ def evaluate(
         ScenarioError: There are no scenarios.
     """
     names = [build(method, config.seed).name for method in config.methods]
-    files = _files(config.source)
-    reference = [] if config.scale_on is None else _files(config.scale_on)
+    files = one_problem_each(config.source)
+    reference = [] if config.scale_on is None else one_problem_each(config.scale_on)
     total = len(reference) + len(files)
     progress(0, total)
     failed: list[dict[str, str]] = []
@@ -142,46 +143,85 @@ def sample_path(ref: ScenarioRef, methods: str, every: int, seed: int) -> FileSa
         Its samples, or one line that says why there are none.
     """
     seed_globals(seed)
-    predictors = _predictors(methods, seed)
+    predictors = predictors_of(methods, seed)
     seed_globals(seed)
     try:
         return sample_file(load_recording(ref), predictors, every)
     except ScenarioError as error:
         return str(error)  # It names the file.
     except PredictionError as error:
-        _predictors.cache_clear()
+        predictors_of.cache_clear()
         return f"{ref.path}: {error}"
     except Exception as error:  # An error in the reader loses one file only.
         return f"{ref.path}: {one_line(error)}"
 
 
 @lru_cache(maxsize=1)
-def _predictors(methods: str, seed: int) -> list[tuple[str, Predictor]]:
+def predictors_of(methods: str, seed: int) -> list[tuple[str, Predictor]]:
+    """Makes the predictors of all methods; a worker keeps them from file to file.
+
+    Args:
+        methods: The methods as JSON.
+        seed: Seed of the run.
+
+    Returns:
+        Labels and predictors.
+
+    Raises:
+        MethodError: A method cannot be built.
+    """
     listed = [Method(**method) for method in json.loads(methods)]
     return [(method.label, build(method, seed)) for method in listed]
 
 
-def _files(source: str) -> list[ScenarioRef]:
-    """One planning problem per file: the recording is the same for all of them."""
+def one_problem_each(source: str) -> list[ScenarioRef]:
+    """Lists files with one planning problem each: the recording is the same for all of them.
+
+    Args:
+        source: Where they are, as ``dosplan.scenario.find_scenarios`` takes it.
+
+    Returns:
+        The first problem of each file.
+
+    Raises:
+        ScenarioError: There are no scenarios.
+    """
     return list({ref.path: ref for ref in reversed(find_scenarios(source))}.values())[::-1]
 
 
-def _sample_all(
-    files: Sequence[ScenarioRef], config: EvaluationConfig, progress: Callable[[int], None]
-) -> tuple[list[FileSamples], list[dict[str, str]]]:
-    """The samples of all files that can be used, in their order, and what the others lack."""
-    methods = json.dumps([asdict(method) for method in config.methods])
-    results: dict[int, FileSamples | str] = {}
-    with worker_pool(min(config.workers, len(files))) as pool:
-        futures: dict[Future[FileSamples | str], int] = {
-            pool.schedule(sample_path, (ref, methods, config.every, config.seed)): i
-            for i, ref in enumerate(files)
+def each_file(
+    call: Callable[..., _Samples | str],
+    files: Sequence[ScenarioRef],
+    arguments: tuple[Any, ...],
+    workers: int,
+    progress: Callable[[int], None],
+) -> tuple[list[_Samples], list[dict[str, str]]]:
+    """Has worker processes take samples of files.
+
+    Args:
+        call: Takes a file and the arguments; what it returns is the file's samples, or one line
+            that says why there are none.
+        files: The files.
+        arguments: The other arguments of the call.
+        workers: Number of worker processes.
+        progress: Called with the number of finished files.
+
+    Returns:
+        The samples of all files that can be used, in their order, and what the others lack.
+
+    Raises:
+        EvaluationError: No worker gets anything done.
+    """
+    results: dict[int, _Samples | str] = {}
+    with worker_pool(min(workers, len(files))) as pool:
+        futures: dict[Future[_Samples | str], int] = {
+            pool.schedule(call, (ref, *arguments)): i for i, ref in enumerate(files)
         }
         for future in as_completed(futures):
             i = futures[future]
             results[i] = _result(future, files[i])
             progress(len(results))
-    samples: list[FileSamples] = []
+    samples: list[_Samples] = []
     failed: list[dict[str, str]] = []
     for i, ref in enumerate(files):
         result = results[i]
@@ -192,7 +232,15 @@ def _sample_all(
     return samples, failed
 
 
-def _result(future: Future[FileSamples | str], ref: ScenarioRef) -> FileSamples | str:
+def _sample_all(
+    files: Sequence[ScenarioRef], config: EvaluationConfig, progress: Callable[[int], None]
+) -> tuple[list[FileSamples], list[dict[str, str]]]:
+    methods = json.dumps([asdict(method) for method in config.methods])
+    arguments = (methods, config.every, config.seed)
+    return each_file(sample_path, files, arguments, config.workers, progress)
+
+
+def _result(future: Future[_Samples | str], ref: ScenarioRef) -> _Samples | str:
     """What a task returned, or one line on the end of its worker."""
     try:
         return future.result()

@@ -126,7 +126,7 @@ def sample_file(
                 predictor.reveal(scenario.tracks)
             predictor.reset(scenario.task, scenario.road_map)
         except (Exception, SystemExit) as error:
-            raise _failure(label, predictor, error) from error
+            raise prediction_failure(label, predictor, error) from error
     kind, speed, light, recorded = [], [], [], []
     index = LightIndex(scenario.road_map)
     methods = [_MethodLog() for _ in predictors]
@@ -143,7 +143,7 @@ def sample_file(
             try:
                 occupancy = predictor.predict(observation)
             except (Exception, SystemExit) as error:
-                raise _failure(label, predictor, error) from error
+                raise prediction_failure(label, predictor, error) from error
             log.add(moment, occupancy)
     digests = tuple(log.digest.hexdigest() for log in methods)
     return FileSamples(
@@ -246,6 +246,16 @@ def _joined(parts: Sequence[npt.NDArray[Any]], dtype: type[Any], *shape: int) ->
     return np.concatenate([np.empty((0, *shape), dtype=dtype), *parts], dtype=dtype, axis=0)
 
 
-def _failure(label: str, predictor: Predictor, error: BaseException) -> PredictionError:
+def prediction_failure(label: str, predictor: Predictor, error: BaseException) -> PredictionError:
+    """Makes one line of what a method raised.
+
+    Args:
+        label: Label of the method.
+        predictor: Its predictor.
+        error: What was raised.
+
+    Returns:
+        The error that names the method and the place.
+    """
     place = failure_place(error, type(predictor))
     return PredictionError(f"method {label!r} failed: {one_line(error)} ({place})")

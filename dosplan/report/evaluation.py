@@ -22,11 +22,12 @@ def evaluation_tables(figures: Mapping[str, Any]) -> RenderableType:
     """Lays an evaluation out for the terminal.
 
     Args:
-        figures: What ``evaluate`` returned.
+        figures: What ``evaluate`` or ``evaluate_futures`` returned.
 
     Returns:
         What it was measured on; sets of all and of moving road users; coverage by area, by speed
-        and by the light ahead; trajectories; upper limits. Further groups are in the figures alone.
+        and by the light ahead; trajectories; upper limits; or coverage over futures. Further groups
+        are in the figures alone.
     """
     parts: list[RenderableType] = [_on(figures["data"])]
     for title, headings, rows in _blocks(figures):
@@ -38,7 +39,7 @@ def evaluation_markdown(figures: Mapping[str, Any]) -> str:
     """Writes the same tables as Markdown.
 
     Args:
-        figures: What ``evaluate`` returned.
+        figures: What ``evaluate`` or ``evaluate_futures`` returned.
 
     Returns:
         The text.
@@ -50,6 +51,12 @@ def evaluation_markdown(figures: Mapping[str, Any]) -> str:
 
 
 def _on(data: Row) -> str:
+    if "futures" in data:
+        return (
+            f"{data['pasts']} road users at the start of {data['evaluated']} scenarios of "
+            f"{data['source']} ({len(data['failed'])} failed), {data['futures']} futures of each "
+            f"by the traffic {data['traffic']}, seed {data['seed']}"
+        )
     itself = " (the data evaluated itself)" if data["scaled_on_itself"] else ""
     return (
         f"{data['windows']} windows of {data['evaluated']} files of {data['source']} "
@@ -60,6 +67,9 @@ def _on(data: Row) -> str:
 
 def _blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
     """The tables: title, headings, cells."""
+    if "futures" in figures:
+        yield from _future_blocks(figures)
+        return
     seconds = [f"{t:g}" for t in figures["data"]["horizons_s"]]
     sets = _by(figures["sets"], "method", "group")
     together = _by(figures["simultaneous"], "method", "group")
@@ -143,6 +153,34 @@ def _blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
             for model, representation in dict.fromkeys(key[:2] for key in limits)
         ],
     )
+
+
+def _future_blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
+    """Coverage over the futures of one past, and the pasts that are covered less often."""
+    data, rows = figures["data"], _by(figures["futures"], "method", "group")
+    seconds = [f"{t:g}" for t in data["horizons_s"]]
+    below = f"below {100 * data['level']:g} %"
+    for group in _MAIN_GROUPS:
+        found = {method: part for (method, there), part in rows.items() if there == group}
+        if not found:
+            continue
+        counts = ", ".join(str(row["pasts"]) for row in next(iter(found.values())))
+        yield (
+            f"Sets over futures, {group} (pasts at {', '.join(seconds)} s: {counts})",
+            [
+                "Method",
+                *(f"CR % {t} s" for t in seconds),
+                *(f"pasts {below}, % {t} s (by chance)" for t in seconds),
+            ],
+            [
+                [
+                    method,
+                    *(_share(row["cr"], row["cr_se"]) for row in part),
+                    *(f"{_percent(r['below'])} ({_percent(r['below_by_chance'])})" for r in part),
+                ]
+                for method, part in found.items()
+            ],
+        )
 
 
 def _by(rows: Sequence[Row], *keys: str) -> dict[tuple[str, ...], list[Row]]:

@@ -52,7 +52,7 @@ def draw_sheet(suite: Path, out: Path) -> None:
         handles=legend_handles(*scenarios),
         handler_map=dict(LAMP_HANDLER),
         loc="outside lower center",
-        ncols=11,
+        ncols=7,
     )
     figure.savefig(out, dpi=110)
 

@@ -160,7 +160,14 @@ def _draw_plate(axes: Axes, plate: Plate, zorder: float) -> None:
     )  # fmt: skip
     if plate.text:
         axes.annotate(
-            plate.text, (plate.place[0], plate.place[1]), ha="center", va="center_baseline",
-            size=_NUMBER, weight="bold", color=RIM, zorder=zorder, annotation_clip=True,
+            plate.text,
+            (plate.place[0], plate.place[1]),
+            ha="center",
+            va="center_baseline",
+            size=_NUMBER - (len(plate.text) > 2),
+            weight="bold",
+            color=RIM,
+            zorder=zorder,
+            annotation_clip=True,
             clip_on=True,
-        )  # fmt: skip
+        )

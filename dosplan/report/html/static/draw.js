@@ -140,7 +140,7 @@ function drawSign(context, sign, pixel, palette) {
   context.fill();
   context.stroke();
   if (sign.text) {
-    context.font = "bold 8.5px system-ui, sans-serif";
+    context.font = `bold ${sign.text.length > 2 ? 7 : 8.5}px system-ui, sans-serif`;
     context.textAlign = "center";
     context.textBaseline = "middle";
     context.fillStyle = rim;

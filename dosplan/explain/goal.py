@@ -11,6 +11,7 @@ import shapely
 from dosplan.geometry import to_body
 from dosplan.geometry.goal import TOLERANCE, GoalMiss, goal_miss
 from dosplan.results.drive import Drive
+from dosplan.scoring.progress import MAKING_PROGRESS, needed_progress
 from dosplan.types import USER_HEADING, USER_VELOCITY, FloatArray, GoalState
 
 _DEGREE: Final = np.pi / 180.0
@@ -32,7 +33,8 @@ class GoalFacts:
     Attributes:
         goal: Which of the alternatives, from 1.
         failed: The conditions that failed there: ``position``, or ``time``, or ``heading`` and
-            ``velocity``; the later ones are checked where the earlier hold.
+            ``velocity``; the later ones are checked where the earlier hold. ``progress`` where all
+            of them hold: the goal is a time alone, and the ego has hardly moved.
         seconds: Time of that step since the start, s.
         at_end: Whether it is the last step of the drive.
         distance: From the ego's centre to the region, m.
@@ -44,6 +46,8 @@ class GoalFacts:
         velocity_off: Beyond the velocity's interval, m/s; negative where too slow.
         window: First and last time at which the goal counts, s since the start.
         velocity_window: m/s, or None where the goal sets none.
+        progress: Distance driven along the reference path, m.
+        expected_progress: What is expected of that, m.
     """
 
     goal: int
@@ -58,6 +62,8 @@ class GoalFacts:
     velocity_off: float
     window: tuple[float, float]
     velocity_window: tuple[float, float] | None
+    progress: float
+    expected_progress: float
 
     def lines(self) -> list[str]:
         """What failed, in plain words."""
@@ -66,6 +72,7 @@ class GoalFacts:
             "time": self._time,
             "heading": self._heading,
             "velocity": self._velocity,
+            "progress": self._progress,
         }
         return [f"goal {self.goal}: {texts[name]()}" for name in self.failed]
 
@@ -104,6 +111,14 @@ class GoalFacts:
             "the start"
         )
 
+    def _progress(self) -> str:
+        least = MAKING_PROGRESS * self.expected_progress
+        return (
+            f"a time alone, which standing still does not reach: {self.progress:.1f} m along the "
+            f"route until then, at least {least:.1f} m of the {self.expected_progress:.1f} m that "
+            "are expected count as progress"
+        )
+
 
 def goal_facts(drive: Drive) -> tuple[GoalFacts, ...]:
     """Measures by how much each alternative goal was missed.
@@ -139,6 +154,8 @@ def _facts(drive: Drive, number: int, goal: GoalState) -> GoalFacts:
         velocity_off=miss.velocity,
         window=(drive.seconds(goal.first_step), drive.seconds(goal.last_step)),
         velocity_window=goal.velocity,
+        progress=drive.row.progress,
+        expected_progress=needed_progress(drive.scenario, drive.tracks, drive.signals),
     )
 
 
@@ -166,4 +183,4 @@ def _failed(miss: GoalMiss) -> tuple[str, ...]:
     if miss.steps:
         return ("time",)
     parts = {"heading": miss.heading, "velocity": miss.velocity}
-    return tuple(name for name, off in parts.items() if abs(off) > TOLERANCE)
+    return tuple(name for name, off in parts.items() if abs(off) > TOLERANCE) or ("progress",)

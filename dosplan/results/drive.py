@@ -29,6 +29,7 @@ from dosplan.types import (
     Outcome,
     Scenario,
     Score,
+    Signals,
     Tracks,
 )
 from dosplan.vehicle import VehicleParameters
@@ -127,6 +128,12 @@ class Drive:
         """
         known = self.known_tracks
         return self.scenario.tracks if known is None else known
+
+    @property
+    def signals(self) -> Signals:
+        """The traffic lights as they were, at the steps of the scenario."""
+        own = self.recording.signals
+        return self.scenario.signals if own is None else own
 
     @cached_property
     def states(self) -> FloatArray:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from dosplan.results.comparison import Comparison
 from dosplan.results.paired import Difference
-from dosplan.results.summary import Summary
+from dosplan.results.summary import ArmSummary, Summary
 from dosplan.results.unusable import unusable_title
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Group, Metric, find_metric
@@ -62,13 +62,19 @@ def summary_cells(summary: Summary) -> list[Cells]:
 
     Returns:
         The tables, each with a row for each arm that ran; that of the solver only where a figure is
-        not zero, as planners without a solver have none. The first counts the scenarios, and those
-        of them that are usable where some are not.
+        not zero, as planners without a solver have none, and of the rules and costs those that
+        have a figure. The first counts the scenarios, and those of them that are usable where some
+        are not.
     """
     arms = {ARM_TITLES[arm]: figures for arm, figures in summary.arms.items()}
     tables = []
     for group in Group:
-        columns = [metric for metric in metrics.METRICS if metric.group is group]
+        columns = [
+            metric
+            for metric in metrics.METRICS
+            if metric.group is group
+            and not (group in _WHERE_KNOWN and _is_unknown(metric, arms.values()))
+        ]
         found = [figures.get(metric.key) for metric in columns for figures in arms.values()]
         if not columns or (group is Group.SOLVER and not any(found)):
             continue
@@ -86,6 +92,14 @@ def summary_cells(summary: Summary) -> list[Cells]:
         ]
         tables.append((headings, rows))
     return tables
+
+
+_WHERE_KNOWN: Final = frozenset({Group.RULES, Group.NUPLAN, Group.COMMONROAD})
+"""Tables that leave out what has no figure: not every map has lights, signs or markings."""
+
+
+def _is_unknown(metric: Metric, arms: Iterable[ArmSummary]) -> bool:
+    return all(figures.get(metric.key) is None for figures in arms)
 
 
 def scenario_count(summary: Summary) -> int:

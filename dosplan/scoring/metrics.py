@@ -14,62 +14,20 @@ from typing import Final
 
 import numpy as np
 
+from dosplan.scoring import nuplan, progress, rules
 from dosplan.scoring.bounds import outside_lanelets
 from dosplan.scoring.comfort import (
     MAX_LATERAL_ACCELERATION,
     MAX_LONGITUDINAL_JERK,
     MIN_ACCELERATION,
 )
-from dosplan.types import (
-    DrivenEpisode,
-    FloatArray,
-    IntArray,
-    Measure,
-    Outcome,
-    Scenario,
-    Score,
-    Signals,
-    SolveReport,
-    SolveStatus,
-    Tracks,
-)
+from dosplan.scoring.commonroad_cost import COST_FUNCTIONS, commonroad_cost
+from dosplan.scoring.part import ScoredPart
+from dosplan.types import FloatArray, Measure, Outcome, Score, SolveReport, SolveStatus
 
 SLACK_SEEN: Final = 1e-3
 """Slack above which a plan enters a set. A solver's error in a slack of zero is far smaller:
 of 3244 recorded cycles of ``mpc-v1``, 2962 end below 1e-5 and 282 above this."""
-
-
-@dataclass(frozen=True)
-class ScoredPart:
-    """The part of an episode that is scored: from its start to contact, goal or end.
-
-    Attributes:
-        scenario: The scenario.
-        episode: The whole episode.
-        tracks: The road users as they were driven.
-        states: (K + 1, 5) ego states of the part.
-        ego: (K + 1, 4) x, y, heading, velocity of the ego's centre.
-        cycles: Indices of the planning cycles that a step of the part follows.
-    """
-
-    scenario: Scenario
-    episode: DrivenEpisode
-    tracks: Tracks
-    states: FloatArray
-    ego: FloatArray
-    cycles: IntArray
-
-    @property
-    def signals(self) -> Signals:
-        """The traffic lights as they were in the episode, at the steps of the scenario."""
-        own = self.episode.signals
-        return self.scenario.signals if own is None else own
-
-    @property
-    def reports(self) -> list[SolveReport]:
-        """The planner's reports of ``cycles``."""
-        reports = self.episode.reports
-        return [reports[cycle] for cycle in self.cycles]
 
 
 class Aggregate(StrEnum):
@@ -103,8 +61,11 @@ class Group(StrEnum):
 
     MAIN = "main"
     OUTCOME = "outcome"
+    RULES = "rules"
+    NUPLAN = "nuplan"
     RIDE = "ride"
     COMFORT = "comfort"
+    COMMONROAD = "commonroad"
     SOLVER = "solver"
 
 
@@ -124,6 +85,7 @@ class Metric:
         read: Reads it from a row; None where the episode has no value.
         measure: Measures it; None likewise.
         kind: Type of what ``measure`` gives.
+        failed: What is measured where the planner failed before a step was driven.
         digits: Decimals that are shown.
         plotted: Whether pages draw its distribution over the episodes.
         bounds: Values that such a drawing marks.
@@ -140,6 +102,7 @@ class Metric:
     read: Callable[[Score], Measure] | None = None
     measure: Callable[[ScoredPart], Measure] | None = None
     kind: type[bool | int | float] = float
+    failed: Measure = None
     digits: int = 2
     plotted: bool = False
     bounds: tuple[float, ...] = ()
@@ -259,7 +222,7 @@ def _share(
 
 def _leaves_lanelets(part: ScoredPart) -> bool | None:
     """Whether the ego leaves the union of all lanelets; None where it drove no step."""
-    if len(part.states) < 2:
+    if not part.drove:
         return None
     scenario = part.scenario
     size = scenario.task.vehicle.size
@@ -278,11 +241,40 @@ def _of_cycles(
     return measure
 
 
+def _progress_share(part: ScoredPart) -> float | None:
+    """Share of the expected progress; None where no step was driven."""
+    return progress.progress_ratio(part.progress, part.needed_progress) if part.drove else None
+
+
+def _makes_progress(part: ScoredPart) -> bool | None:
+    """Whether the ego makes progress; None where no step was driven, and none had to be."""
+    if part.drove:
+        return progress.makes_progress(part.progress, part.needed_progress)
+    return False if part.outcome is Outcome.PLANNER_FAILURE else None
+
+
+def _cost(name: str) -> Metric:
+    """A cost function of CommonRoad."""
+    terms = ", ".join(f"{weight:g} {term}" for term, weight in COST_FUNCTIONS[name].items())
+    return Metric(
+        name=f"cost_{name.lower()}",
+        title=f"CommonRoad's cost {name}",
+        short=name,
+        unit="",
+        definition=f"sum of partial costs: {terms}; episodes that succeed",
+        aggregate=Aggregate.MEAN,
+        group=Group.COMMONROAD,
+        better=Better.LOWER,
+        measure=lambda part: commonroad_cost(part, name),
+    )
+
+
 METRICS: tuple[Metric, ...] = (
     _share(
         "success",
         "Success",
-        "a goal is reached, on the road and without a collision",
+        "a goal is reached, on the road and without a collision; one that is a time alone only by "
+        "making progress",
         lambda row: row.outcome is Outcome.SUCCESS,
         Better.HIGHER,
         Group.MAIN,
@@ -323,7 +315,8 @@ METRICS: tuple[Metric, ...] = (
     _share(
         "goal_missed",
         "Goal missed",
-        "driven to the end, but no goal is reached",
+        "driven to the end, but no goal is reached, or one that is a time alone without making "
+        "progress",
         lambda row: row.outcome is Outcome.GOAL_MISSED,
         Better.LOWER,
         Group.OUTCOME,
@@ -347,6 +340,169 @@ METRICS: tuple[Metric, ...] = (
         better=Better.HIGHER,
         read=lambda row: row.velocity if row.steps else None,
         plotted=True,
+    ),
+    Metric(
+        name="red_lights",
+        title="Red lights run",
+        short="Red lights",
+        unit="",
+        definition="times that the front passes the stop line of the lanelet, or its end, while "
+        "the lights for the way that is taken are red or red with yellow, unless the ego stops "
+        "before the intersection and enters it when they allow it; maps with traffic lights",
+        aggregate=Aggregate.MEAN,
+        group=Group.RULES,
+        better=Better.LOWER,
+        measure=rules.red_lights,
+        kind=int,
+    ),
+    Metric(
+        name="stop_lines_ignored",
+        title="Stop signs passed without standing",
+        short="Stop lines",
+        unit="",
+        definition="times that the front passes the line of a stop sign, lights not lit, without "
+        f"having been slower than {rules.STANDING:g} m/s at most {rules.STOP_ZONE:g} m before it; "
+        "maps with stop signs",
+        aggregate=Aggregate.MEAN,
+        group=Group.RULES,
+        better=Better.LOWER,
+        measure=rules.stop_lines_ignored,
+        kind=int,
+    ),
+    Metric(
+        name="time_over_limit",
+        title="Time above the speed limit",
+        short="Above limit",
+        unit="%",
+        definition="share of the drive's time in which the ego is faster than the limit of its "
+        f"lanelet by {rules.OVERSPEED:g} m/s or more; drives past a limit",
+        aggregate=Aggregate.MEAN,
+        group=Group.RULES,
+        better=Better.LOWER,
+        measure=rules.time_over_limit,
+        digits=1,
+    ),
+    Metric(
+        name="mean_overspeed",
+        title="Mean excess of the speed limit",
+        short="Mean excess",
+        unit="m/s",
+        definition="mean excess over the time above the limit; episodes with such a time",
+        aggregate=Aggregate.MEAN,
+        group=Group.RULES,
+        better=Better.LOWER,
+        measure=rules.mean_excess,
+    ),
+    Metric(
+        name="max_overspeed",
+        title="Largest excess of the speed limit",
+        short="Largest excess",
+        unit="m/s",
+        definition="largest excess of the limit of the lanelet, zero where it is kept; drives past "
+        "a limit",
+        aggregate=Aggregate.LARGEST,
+        group=Group.RULES,
+        better=Better.LOWER,
+        measure=rules.largest_excess,
+    ),
+    Metric(
+        name="wrong_way",
+        title="Way against the traffic",
+        short="Wrong way",
+        unit="m",
+        definition="largest distance that the ego's centre moves against its lane's direction "
+        "within a second, summed up as in nuPlan; episodes that drove a step",
+        aggregate=Aggregate.MEAN,
+        group=Group.RULES,
+        better=Better.LOWER,
+        measure=rules.wrong_way,
+    ),
+    Metric(
+        name="solid_lines",
+        title="Solid lines crossed",
+        short="Solid lines",
+        unit="",
+        definition="times that the ego's centre leaves its lanelet over a bound that must not be "
+        "crossed in that direction; maps that say what is painted",
+        aggregate=Aggregate.MEAN,
+        group=Group.RULES,
+        better=Better.LOWER,
+        measure=rules.solid_lines,
+        kind=int,
+    ),
+    Metric(
+        name="nuplan_score",
+        title="nuPlan's closed-loop score",
+        short="Score",
+        unit="%",
+        definition="no_ego_at_fault_collisions · drivable_area_compliance · "
+        "driving_direction_compliance · ego_is_making_progress · (5 "
+        "ego_progress_along_expert_route + 5 time_to_collision_within_bound + 4 "
+        "speed_limit_compliance + 2 ego_is_comfortable) / 16, 0 where the planner fails "
+        "(`dosplan/scoring/nuplan.py` tells what differs from nuPlan)",
+        aggregate=Aggregate.MEAN,
+        group=Group.NUPLAN,
+        better=Better.HIGHER,
+        measure=nuplan.nuplan_score,
+        failed=0.0,
+        digits=1,
+    ),
+    Metric(
+        name="making_progress",
+        title="Making progress",
+        short="Making progress",
+        unit="%",
+        definition="nuPlan's ego_is_making_progress: the share of the expected progress is "
+        f"{progress.MAKING_PROGRESS:g} or more",
+        aggregate=Aggregate.SHARE,
+        group=Group.NUPLAN,
+        better=Better.HIGHER,
+        measure=_makes_progress,
+        kind=bool,
+        failed=False,
+        digits=1,
+    ),
+    Metric(
+        name="route_progress",
+        title="Share of the expected progress",
+        short="Progress",
+        unit="%",
+        definition="nuPlan's ego_progress_along_expert_route, min(1, max(progress, 2 m) / "
+        "max(expected, 2 m)); expected is the way to the goal, or, where that is a time alone, the "
+        "way at the speed of the start, at most to whoever is ahead then and to a red light; "
+        "episodes that drove a step",
+        aggregate=Aggregate.MEAN,
+        group=Group.NUPLAN,
+        better=Better.HIGHER,
+        measure=_progress_share,
+        digits=1,
+    ),
+    Metric(
+        name="driving_direction_compliance",
+        title="Driving direction kept (nuPlan's)",
+        short="Direction",
+        unit="%",
+        definition="nuPlan's driving_direction_compliance: 1 below "
+        f"{nuplan.MAX_WRONG_WAY:g} m against the lane's direction within a second, 0.5 below "
+        f"{nuplan.NO_WRONG_WAY:g} m, otherwise 0; episodes that drove a step",
+        aggregate=Aggregate.MEAN,
+        group=Group.NUPLAN,
+        better=Better.HIGHER,
+        measure=nuplan.direction_compliance,
+        digits=1,
+    ),
+    Metric(
+        name="speed_limit_compliance",
+        title="Speed limit kept (nuPlan's)",
+        short="Speed limit",
+        unit="%",
+        definition="nuPlan's speed_limit_compliance: max(0, 1 - integral of the excess / "
+        f"({nuplan.MAX_OVERSPEED:g} m/s · duration)); drives past a limit",
+        aggregate=Aggregate.MEAN,
+        group=Group.NUPLAN,
+        better=Better.HIGHER,
+        measure=nuplan.speed_compliance,
+        digits=1,
     ),
     Metric(
         name="progress",
@@ -462,6 +618,7 @@ METRICS: tuple[Metric, ...] = (
         plotted=True,
         bounds=(MAX_LONGITUDINAL_JERK,),
     ),
+    *(_cost(name) for name in COST_FUNCTIONS),
     Metric(
         name="fallback_cycles",
         title="Cycles in which a fallback was driven",
@@ -571,6 +728,11 @@ def measured(part: ScoredPart) -> dict[str, Measure]:
         Values by the metrics' names.
     """
     return {m.name: m.measure(part) for m in METRICS if m.measure is not None}
+
+
+def failed_measures() -> dict[str, Measure]:
+    """Values of measured metrics where the planner failed before a step was driven, by name."""
+    return {metric.name: metric.failed for metric in METRICS if metric.measure is not None}
 
 
 def measured_kinds() -> dict[str, type[bool | int | float]]:

@@ -17,6 +17,10 @@ Definitions
 - **Unusable**: what nobody could drive (unreadable, no goal, the start inside a road user or off
   the road, no trajectory). Told before anything is driven, listed by file and reason, outside the
   rates, inside the count. It is no outcome of a planner.
+- **Progress**: where a goal is a time alone, standing still is no success: nuPlan's *making
+  progress* counts, at least 0.2 of the way that is expected. That is the way at the speed of the
+  start until the goal counts, but not past who is ahead of the ego then, nor past a red light. So
+  who starts in a queue or before a red light may stand.
 - **Goal missed**: at no step is the ego's centre in a goal's region, within its time window, with
   heading and velocity within its intervals. So the ego passes beside it, comes too late, or is in
   it with the wrong heading or speed. Too early is a miss as well: who has driven through the region
@@ -56,6 +60,7 @@ it is at fault in none.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -66,7 +71,9 @@ from dosplan.scoring.bounds import outside
 from dosplan.scoring.collision import first_contacts, overlap_window
 from dosplan.scoring.comfort import comfort
 from dosplan.scoring.fault import BEHIND_ANGLE, STOPPED_VELOCITY, at_fault, classify
-from dosplan.scoring.metrics import ScoredPart, measured, measured_kinds
+from dosplan.scoring.metrics import failed_measures, measured, measured_kinds
+from dosplan.scoring.part import ScoredPart, signals_of
+from dosplan.scoring.progress import is_time_alone, makes_progress, needed_progress
 from dosplan.types import (
     EGO_HEADING,
     EGO_VELOCITY,
@@ -79,6 +86,7 @@ from dosplan.types import (
     EpisodeKey,
     FloatArray,
     IntArray,
+    Measure,
     Outcome,
     PlanningTask,
     Route,
@@ -142,6 +150,8 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
     if goal_step is not None and goal_step > start + driven:
         goal_step = None
 
+    progress = _progress(task.route, ego)
+    needed = needed_progress(scenario, tracks, signals_of(scenario, episode))
     off_road = np.flatnonzero(outside(ego[:, :3], vehicle.size, scenario.road_map))
     out_of_bounds_step = start + int(off_road[0]) if off_road.size else None
 
@@ -149,7 +159,9 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         outcome = Outcome.COLLISION
     elif out_of_bounds_step is not None:
         outcome = Outcome.OUT_OF_BOUNDS
-    elif goal_step is not None:
+    elif goal_step is not None and (
+        makes_progress(progress, needed) or not _stands_in_goal(task, states[-1], goal_step)
+    ):
         outcome = Outcome.SUCCESS
     elif episode.end is EpisodeEnd.PLANNER_FAILURE:
         outcome = Outcome.PLANNER_FAILURE
@@ -158,7 +170,22 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
 
     ride = comfort(states, scenario.dt)
     cycles = np.flatnonzero(episode.cycle_steps < start + driven)
-    part = ScoredPart(scenario, episode, tracks, states, ego, cycles)
+    part = ScoredPart(
+        scenario=scenario,
+        episode=episode,
+        tracks=tracks,
+        states=states,
+        ego=ego,
+        cycles=cycles,
+        outcome=outcome,
+        touched=tuple(contact.user for contact in touched),
+        at_fault_with=tuple(
+            contact.user for contact, fault in zip(touched, faults, strict=True) if fault
+        ),
+        ride=ride,
+        progress=progress,
+        needed_progress=needed,
+    )
     median, slowest = _cycle_times(episode, cycles)
     return Score(
         scenario=episode.scenario_id,
@@ -172,7 +199,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         out_of_bounds_step=out_of_bounds_step,
         goal_step=goal_step,
         velocity=_mean_velocity(states),
-        progress=_progress(task.route, ego),
+        progress=progress,
         steps=driven,
         comfortable=ride.comfortable,
         max_abs_acceleration=ride.acceleration,
@@ -200,7 +227,7 @@ def failed_score(key: EpisodeKey, error: str) -> Score:
     Returns:
         A planner failure without a step.
     """
-    return _not_driven(key, Outcome.PLANNER_FAILURE, error)
+    return _not_driven(key, Outcome.PLANNER_FAILURE, error, failed_measures())
 
 
 def unusable_score(key: EpisodeKey, reason: str) -> Score:
@@ -213,7 +240,7 @@ def unusable_score(key: EpisodeKey, reason: str) -> Score:
     Returns:
         A row without a step, which takes part in no figure.
     """
-    return _not_driven(key, Outcome.UNUSABLE, reason)
+    return _not_driven(key, Outcome.UNUSABLE, reason, dict.fromkeys(measured_kinds()))
 
 
 def min_time_to_collision(
@@ -257,9 +284,18 @@ def min_time_to_collision(
     return smallest if smallest < COLLISION_HORIZON else None
 
 
-def _not_driven(key: EpisodeKey, outcome: Outcome, error: str) -> Score:
-    measures = dict.fromkeys(measured_kinds())
+def _not_driven(
+    key: EpisodeKey, outcome: Outcome, error: str, measures: Mapping[str, Measure]
+) -> Score:
     return Score(**key._asdict(), outcome=outcome, error=error, measures=measures)
+
+
+def _stands_in_goal(task: PlanningTask, state: FloatArray, step: int) -> bool:
+    """Whether the goals that hold at a state are times alone, so that a standing ego has them."""
+    centre = task.vehicle.centre(state)
+    heading, velocity = float(state[EGO_HEADING]), float(state[EGO_VELOCITY])
+    held = (goal for goal in task.goals if goal_reached((goal,), step, centre, heading, velocity))
+    return all(is_time_alone(goal) for goal in held)
 
 
 def _goal_step(task: PlanningTask, states: FloatArray, start: int) -> int | None:

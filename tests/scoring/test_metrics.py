@@ -35,6 +35,8 @@ def test_an_episode_that_never_drove_is_a_failure_and_has_no_other_figure(metric
         assert value is True
     elif metric.is_share and metric.name not in ("comfortable", "off_commonroad_road"):
         assert value is False  # It counts in the denominator.
+    elif metric.name == "nuplan_score":
+        assert value == 0.0
     else:
         assert value is None
 
@@ -49,7 +51,19 @@ def test_what_is_unusable_has_no_figure(metric: Metric) -> None:
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)
 def test_better_is_better(metric: Metric) -> None:
-    good = ("success", "safe", "comfortable", "velocity", "progress", "min_time_to_collision")
+    good = (
+        "success",
+        "safe",
+        "comfortable",
+        "velocity",
+        "progress",
+        "min_time_to_collision",
+        "nuplan_score",
+        "making_progress",
+        "route_progress",
+        "driving_direction_compliance",
+        "speed_limit_compliance",
+    )
     assert metric.better is (Better.HIGHER if metric.name in good else Better.LOWER)
 
 

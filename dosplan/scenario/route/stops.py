@@ -82,7 +82,7 @@ def stops_on(
             continue
         from_here = at
         until = _along(line, lanelets[after].centre[-1], at) or float(arclength[-1])
-        turn = road_map.turn(before, after) or _turn(here, lanelets[after])
+        turn = road_map.turn(before, after) or turn_by_shape(here, lanelets[after])
         holding = tuple(x.id for x in road_map.lights if x.id in here.lights and x.holds_for(turn))
         if holding:
             found.append(RouteStop(StopCause.LIGHT, at, until, holding))
@@ -119,8 +119,16 @@ def _along(line: shapely.LineString, place: FloatArray, first: float) -> float |
     return first + float(shapely.line_locate_point(rest, where))
 
 
-def _turn(before: Lanelet, after: Lanelet) -> str:
-    """Which way one takes, by the shape of the lanelets alone."""
+def turn_by_shape(before: Lanelet, after: Lanelet) -> str:
+    """Which way one takes, by the shape of the lanelets alone.
+
+    Args:
+        before: The lanelet that leads in.
+        after: Its successor.
+
+    Returns:
+        ``left``, ``straight`` or ``right``.
+    """
     way_in, way_out = before.centre[-1] - before.centre[-2], after.centre[-1] - after.centre[-2]
     turned = wrap_angle(np.arctan2(way_out[1], way_out[0]) - np.arctan2(way_in[1], way_in[0]))
     if abs(float(turned)) <= STRAIGHT:

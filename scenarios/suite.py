@@ -62,18 +62,21 @@ def build_suite(seed: int, count: int, out: Path, split: str, jobs: int) -> None
     Args:
         seed: Seed of the suite.
         count: Number of scenarios.
-        out: Folder for ``manifest.csv``, ``drives.csv.gz`` and ``files/``.
+        out: Folder for ``manifest.csv``, ``drives.csv.gz``, ``files/`` and ``sumo-files/``.
         split: ``suite`` or ``train``.
         jobs: Number of processes.
     """
     from suitegen.build import Place, build, drives_csv
 
     places = [Place(split, index) for index in range(count)]
-    (out / "files").mkdir(parents=True, exist_ok=True)
+    for folder in ("files", "sumo-files"):
+        (out / folder).mkdir(parents=True, exist_ok=True)
     suite = []
     with ProcessPoolExecutor(jobs) as pool:
         for built in pool.map(partial(build, seed=seed), places):
             (out / built.row["file"]).write_bytes(built.data)
+            for name, content in built.sumo.items():
+                (out / "sumo-files" / name).write_bytes(content)
             suite.append(built)
             print(f"{built.row['id']}  {len(built.data) / 1000:.0f} kB", flush=True)
     (out / "drives.csv.gz").write_bytes(drives_csv(suite))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import islice
@@ -23,6 +23,7 @@ from .motion import motions
 from .networks import ROAD_KINDS
 from .plain import compile_network
 from .selection import Moment, moments
+from .sumo_inputs import sumo_inputs
 from .traffic import simulate
 from .verdict import collision_of_constant_speed
 
@@ -104,12 +105,14 @@ class Built:
         drive: (K, 4) states of the recorded drive of the vehicle that was taken out, see
             ``Moment.drive``.
         start: Step of the first of them.
+        sumo: What SUMO drives the scenario's traffic from, by the names of the files.
     """
 
     data: bytes
     row: dict[str, str]
     drive: FloatArray
     start: int
+    sumo: Mapping[str, bytes]
 
 
 def build(place: Place, seed: int) -> Built:
@@ -133,10 +136,11 @@ def build(place: Place, seed: int) -> Built:
             demand = float(rng.uniform(*DENSITIES[place.density]))
             road = draw_road(place.rng(seed, place.map), demand)
             net = compile_network(road.network, folder)
-            recording = motions(simulate(road, net, folder, rng))
+            recording = simulate(road, net, folder, rng)
+            driven = motions(recording.traces)
             choosy = attempt < PATIENCE
             conflicts = RARE if place.wants_rare and choosy else ALL
-            for moment in islice(moments(recording, road.focus, conflicts, rng), CANDIDATES):
+            for moment in islice(moments(driven, road.focus, conflicts, rng), CANDIDATES):
                 xml = moment_xml(
                     place.benchmark_id,
                     f"generated with SUMO {version('eclipse-sumo')}, seed {seed}",
@@ -152,7 +156,8 @@ def build(place: Place, seed: int) -> Built:
                 )
                 if collision is not None:
                     defeat = f"{moment.conflict} {collision}"
-                    return _built(place, seed, road_kind, moment, compress(xml), defeat)
+                    sumo = sumo_inputs(place.benchmark_id, net, recording, moment)
+                    return _built(place, seed, road_kind, moment, compress(xml), defeat, sumo)
     raise RuntimeError(
         f"{place.benchmark_id}: no interactive moment in {ATTEMPTS} simulations; try another seed"
     )
@@ -170,7 +175,13 @@ def _goal(moment: Moment, rng: np.random.Generator) -> Goal:
 
 
 def _built(
-    place: Place, seed: int, road_kind: str, moment: Moment, data: bytes, defeat: str
+    place: Place,
+    seed: int,
+    road_kind: str,
+    moment: Moment,
+    data: bytes,
+    defeat: str,
+    sumo: Mapping[str, bytes],
 ) -> Built:
     users = Counter("car" if m.trace.kind == "ego" else m.trace.kind for m in moment.others)
     row = {
@@ -185,7 +196,7 @@ def _built(
         "source": f"scenarios/suite.py --split {place.split} --seed {seed}",
         "licence": LICENCE,
     }
-    return Built(data, row, moment.drive(), moment.start)
+    return Built(data, row, moment.drive(), moment.start, sumo)
 
 
 def drives_csv(suite: Iterable[Built]) -> bytes:

@@ -25,6 +25,8 @@ from .roads import Road
 STEP = 0.1
 RECORD_FROM = 60.0
 RECORD_UNTIL = 180.0
+LATERAL_RESOLUTION = "0.4"
+"""Width of the sublanes, m."""
 
 EGO_KIND = "ego"
 """A car with exactly the size of dosplan's ego: the only kind that can be taken out for it."""
@@ -97,6 +99,21 @@ KINDS: Mapping[str, VehicleKind] = MappingProxyType(
     }
 )
 PEDESTRIAN_SIZE = (0.4, 0.5)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A simulation: what was driven, and what SUMO was given for it besides the network.
+
+    Attributes:
+        traces: All road users seen between ``RECORD_FROM`` and ``RECORD_UNTIL``.
+        demand: Root of the demand file.
+        seed: Seed of SUMO.
+    """
+
+    traces: tuple[Trace, ...]
+    demand: Element
+    seed: int
 
 
 @dataclass(frozen=True)
@@ -231,7 +248,7 @@ def _routes(road: Road, rng: Rng) -> tuple[Element, dict[str, tuple[str, float, 
     return root, users
 
 
-def simulate(road: Road, net: Path, folder: Path, rng: Rng) -> tuple[Trace, ...]:
+def simulate(road: Road, net: Path, folder: Path, rng: Rng) -> Recording:
     """Drives the traffic of a road.
 
     SUMO runs in a process of its own: it can crash on demand it cannot route.
@@ -243,13 +260,14 @@ def simulate(road: Road, net: Path, folder: Path, rng: Rng) -> tuple[Trace, ...]
         rng: Draws departures and drivers.
 
     Returns:
-        All road users seen between ``RECORD_FROM`` and ``RECORD_UNTIL``; step 0 is ``RECORD_FROM``.
+        What was driven; step 0 is ``RECORD_FROM``.
 
     Raises:
         RuntimeError: SUMO failed; its message is in the text.
     """
     root, users = _routes(road, rng)
     (folder / "demand.rou.xml").write_bytes(tostring(root))
+    seed = int(rng.integers(1, 2**31 - 1))
     command = [
         str(Path(sumo.SUMO_HOME) / "bin" / "sumo"),
         *("--net-file", net.name),
@@ -260,8 +278,8 @@ def simulate(road: Road, net: Path, folder: Path, rng: Rng) -> tuple[Trace, ...]
         *("--precision", "4"),
         *("--step-length", str(STEP)),
         *("--end", f"{RECORD_UNTIL:.1f}"),
-        *("--lateral-resolution", "0.4"),
-        *("--seed", str(int(rng.integers(1, 2**31 - 1)))),
+        *("--lateral-resolution", LATERAL_RESOLUTION),
+        *("--seed", str(seed)),
         *("--time-to-teleport", "-1"),
         *("--collision.action", "none"),
         *("--ignore-route-errors", "true"),
@@ -275,7 +293,7 @@ def simulate(road: Road, net: Path, folder: Path, rng: Rng) -> tuple[Trace, ...]
     )
     if done.returncode != 0:
         raise RuntimeError(f"sumo failed: {done.stderr.strip()}")
-    return _read(folder / "fcd.xml", users)
+    return Recording(_read(folder / "fcd.xml", users), root, seed)
 
 
 def _read(path: Path, users: Mapping[str, tuple[str, float, float]]) -> tuple[Trace, ...]:

@@ -1,0 +1,74 @@
+"""What SUMO needs to drive the traffic of a scenario again, this time around another ego.
+
+SUMO of the version that recorded the traffic drives it the same way again from the same network,
+demand and seed. The vehicle that became the ego has the name ``EGO`` in the demand, and a parameter
+that says when it did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, parse, tostring
+
+from dosplan.scenario.commonroad.writer import compress
+
+from .selection import Moment
+from .traffic import LATERAL_RESOLUTION, RECORD_FROM, STEP, Recording
+
+EGO = "egoVehicle"
+START = "dosplan.start"
+"""Parameter of the ego's vehicle: SUMO's time at which the ego starts, s."""
+
+
+def sumo_inputs(
+    benchmark_id: str, net: Path, recording: Recording, moment: Moment
+) -> Mapping[str, bytes]:
+    """The files of a scenario.
+
+    Args:
+        benchmark_id: Its id.
+        net: Its network, which all scenarios of a geometry share.
+        recording: The simulation.
+        moment: The moment that was chosen of it.
+
+    Returns:
+        Configuration, demand and network, by the names of their files.
+    """
+    geometry = benchmark_id.partition("_T-")[0].rpartition("_")[0]
+    net_name, demand_name = f"{geometry}.net.xml.gz", f"{benchmark_id}.rou.xml.gz"
+    return {
+        f"{benchmark_id}.sumo.cfg": tostring(_configuration(net_name, demand_name, recording.seed)),
+        demand_name: compress(tostring(_demand(recording.demand, moment))),
+        # Parsed for what netconvert writes besides: the date, and where it ran.
+        net_name: compress(tostring(parse(net).getroot())),  # noqa: S314 - netconvert wrote it
+    }
+
+
+def _configuration(net: str, demand: str, seed: int) -> Element:
+    root = Element("configuration")
+    for section, options in (
+        ("input", {"net-file": net, "route-files": demand}),
+        ("time", {"begin": "0", "step-length": str(STEP)}),
+        (
+            "processing",
+            {"lateral-resolution": LATERAL_RESOLUTION, "ignore-route-errors": "true"},
+        ),
+        ("random_number", {"seed": str(seed)}),
+    ):
+        parent = SubElement(root, section)
+        for name, value in options.items():
+            SubElement(parent, name, value=value)
+    return root
+
+
+def _demand(demand: Element, moment: Moment) -> Element:
+    root = deepcopy(demand)
+    ego = root.find(f"trip[@id='{moment.ego.trace.id}']")
+    if ego is None:
+        raise RuntimeError(f"{moment.ego.trace.id} is not in the demand")
+    ego.set("id", EGO)
+    start = RECORD_FROM + (moment.first + moment.start) * STEP
+    SubElement(ego, "param", key=START, value=f"{start:.1f}")
+    return root

@@ -17,7 +17,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from dosplan.api import OraclePredictor, Planner, Predictor
-from dosplan.plugins.registry import create_planner, create_predictor, create_traffic
+from dosplan.plugins.registry import (
+    PluginKind,
+    choose_plugin,
+    create_planner,
+    create_predictor,
+    create_traffic,
+)
 from dosplan.results.drive import Drive
 from dosplan.results.rows import row_line
 from dosplan.running.config import RunConfig, RunError
@@ -92,7 +98,11 @@ class Session:
             Its file and why nobody could drive it; None where somebody may.
         """
         try:
-            found = unusable(load_scenario(ref, cached=self._config.cache))
+            scenario = load_scenario(ref, cached=self._config.cache)
+            traffic: type[Traffic] = choose_plugin(
+                PluginKind.TRAFFIC, self._config.traffic, self._config.traffic_options
+            ).plugin
+            found = unusable(scenario) or traffic.refuses(scenario)
         except ScenarioError as error:
             return str(error)
         except Exception as error:  # Caused by the file, not by a planner.

@@ -14,11 +14,12 @@ and future.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, redirect_stdout
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import product
+from pathlib import Path
 from typing import Any, Final
 
 from dosplan.api import OraclePredictor
@@ -47,6 +48,7 @@ from dosplan.scenario.sources.catalogue import find_ids
 from dosplan.scenario.sources.selection import matching, sampled
 from dosplan.scoring.score import unusable_score
 from dosplan.simulation.settings import loop_name
+from dosplan.simulation.traffic import Traffic
 from dosplan.system.files import remove_half_written, write_bytes, write_text
 from dosplan.system.locks import exclusive
 from dosplan.system.provenance import content_digest, describe_environment
@@ -247,10 +249,10 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
             "predictor file": content_digest(source_files(predictor)),
             "traffic file": content_digest(source_files(traffic)),
             "weights": content_digest(built_predictor.weight_files()),
-            SCENARIO_FILES: content_digest(ref.path for ref in refs),
+            SCENARIO_FILES: content_digest(_files(traffic.plugin, refs)),
         },
         started=datetime.now(UTC).isoformat(timespec="seconds"),
-        versions=environment.versions,
+        versions={**environment.versions, **traffic.plugin.versions()},
         git_revision=environment.git_revision,
         machine=environment.machine,
     )
@@ -306,7 +308,12 @@ def _check_same(
     there = _identity(old)
     here = _identity(replace(manifest, digests={**manifest.digests, **files}))
     odd = next((key for key in here if there.get(key) != here[key]), None)
-    by_id = {ref.id: ref.path for ref in refs}
+    config = manifest.config
+    traffic = choose_plugin(PluginKind.TRAFFIC, config.traffic, config.traffic_options).plugin
+    if odd is None:
+        found = traffic.versions().items()
+        odd = next((f"version of {key}" for key, v in found if old.versions.get(key) != v), None)
+    by_id = {ref.id: ref for ref in refs}
     lost = [name for name in old.scenarios if name not in by_id]
     if odd is None and lost:
         raise RunError(
@@ -323,7 +330,8 @@ def _check_same(
     if old.scenarios == manifest.scenarios:
         held = manifest.digests[SCENARIO_FILES]
     else:
-        held = content_digest(by_id[name] for name in old.scenarios if name in by_id)
+        driven = (by_id[name] for name in old.scenarios if name in by_id)
+        held = content_digest(_files(traffic, driven))
     if odd is None and held not in files.values():
         odd = _CONTENT
     if odd is not None:
@@ -331,6 +339,13 @@ def _check_same(
             f"{folder.path} holds a run with another {odd}; nothing was changed. "
             "Choose another --out, or give the same arguments to resume"
         )
+
+
+def _files(traffic: type[Traffic], refs: Iterable[ScenarioRef]) -> Iterator[Path]:
+    """The files of scenarios, each with those that the traffic reads besides."""
+    for ref in refs:
+        yield ref.path
+        yield from traffic.reads(ref.path)
 
 
 def _identity(manifest: RunManifest) -> dict[str, Any]:

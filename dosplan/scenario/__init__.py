@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 from dosplan.scenario.commonroad.document import ScenarioError, read_document, read_file
 from dosplan.scenario.sources.catalogue import ScenarioRef, find_scenarios
+from dosplan.scenario.sources.sumo import configuration_of
 from dosplan.types import Scenario
 
 __all__ = [
+    "INTERACTIVE",
     "ScenarioError",
     "ScenarioRef",
     "find_scenarios",
@@ -17,6 +21,12 @@ __all__ = [
     "load_scenario",
     "parse_scenario",
 ]
+
+INTERACTIVE: Final = (
+    "gives the first states of its road users alone, which a simulator has to move; run it with "
+    "--traffic sumo, or record their trajectories into the file"
+)
+"""Why a scenario is of no use that is ``Scenario.interactive``."""
 
 
 def load_scenario(ref: ScenarioRef | str | Path, *, cached: bool = False) -> Scenario:
@@ -39,18 +49,22 @@ def load_scenario(ref: ScenarioRef | str | Path, *, cached: bool = False) -> Sce
     """
     ref = ref if isinstance(ref, ScenarioRef) else ScenarioRef(Path(ref), "")
     content = read_file(ref.path)
-    if not cached:
-        return parse_scenario(ref, content)
-    from dosplan.scenario import cache
+    if cached:
+        from dosplan.scenario import cache
 
-    return cache.cached(ref, content, lambda: parse_scenario(ref, content))
+        scenario = cache.cached(ref, content, lambda: parse_scenario(ref, content))
+    else:
+        scenario = parse_scenario(ref, content)
+    # Not of the file's content, by which the cache knows a scenario.
+    return replace(scenario, sumo=configuration_of(ref.path))
 
 
 def load_recording(ref: ScenarioRef | str | Path) -> Scenario:
     """Reads an episode of which only the road users matter.
 
     Unlike ``load_scenario`` it takes files without a planning problem: their ego stands where the
-    map's first lanelet for cars begins. What is predicted does not depend on the ego.
+    map's first lanelet for cars begins. What is predicted does not depend on the ego. A file of
+    interactive traffic holds no recording.
 
     Args:
         ref: The episode, or a file that holds one planning problem or none.
@@ -62,7 +76,10 @@ def load_recording(ref: ScenarioRef | str | Path) -> Scenario:
         ScenarioError: The file cannot be used; one line that says why.
     """
     ref = ref if isinstance(ref, ScenarioRef) else ScenarioRef(Path(ref), "")
-    return parse_scenario(ref, read_file(ref.path), ego_optional=True)
+    scenario = parse_scenario(ref, read_file(ref.path), ego_optional=True)
+    if scenario.interactive:
+        raise ScenarioError(ref.path, INTERACTIVE)
+    return scenario
 
 
 def has_problem(ref: ScenarioRef) -> bool:

@@ -8,12 +8,15 @@ over so far (``dosplan.simulation.world``).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from dosplan.api import NoSettings
+from dosplan.scenario import INTERACTIVE
 from dosplan.types import (
     USER_SIZE,
     FloatArray,
@@ -104,6 +107,42 @@ class Traffic(ABC):
         """
         self.seed = seed
         self.future = future
+
+    @classmethod
+    def refuses(cls, scenario: Scenario) -> str | None:
+        """Tells why it cannot drive a scenario; asked before anything is driven.
+
+        Args:
+            scenario: The scenario.
+
+        Returns:
+            What is wrong and what to do, in a line without the file's name; None where it can. By
+            default, a scenario is refused of which nothing is recorded.
+        """
+        return INTERACTIVE if scenario.interactive else None
+
+    @classmethod
+    def reads(cls, scenario: Path) -> Iterable[Path]:
+        """Names the files that its road users come from, besides the scenario's own.
+
+        A run cannot be resumed once one of them has changed.
+
+        Args:
+            scenario: The scenario file, which need not be one that can be used.
+
+        Returns:
+            The files; none by default.
+        """
+        return ()
+
+    @classmethod
+    def versions(cls) -> Mapping[str, str]:
+        """Versions that its road users depend on, for ``run.json``; none by default.
+
+        Returns:
+            Versions by name.
+        """
+        return {}
 
     @abstractmethod
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:

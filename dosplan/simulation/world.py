@@ -70,6 +70,8 @@ class World:
         self._output = self._actuators.at_rest
         self._states: list[FloatArray] = [np.array(scenario.task.start)]
         self._inputs: list[FloatArray] = []
+        if (why := self.traffic.refuses(scenario)) is not None:
+            raise PluginError(f"cannot drive {scenario.id}, which {why}")
         past = self.traffic.begin(scenario, self.start_step)
         if not isinstance(past, Tracks) or past.steps != self.start_step + 1:
             raise PluginError(f"begin must return Tracks of the steps 0 to {self.start_step}")

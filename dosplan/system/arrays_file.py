@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final, TypeVar, get_args
 
 import msgspec
@@ -30,7 +31,8 @@ def pack(value: object, *, compressed: bool = False) -> bytes:
 
     Args:
         value: The dataclass; in it may be dataclasses, texts, numbers, enumerations, tuples, sets,
-            mappings, None, numpy arrays of numbers or truth values, and shapely's geometries.
+            mappings, paths, None, numpy arrays of numbers or truth values, and shapely's
+            geometries.
         compressed: Whether to spend time on a smaller file.
 
     Returns:
@@ -41,13 +43,15 @@ def pack(value: object, *, compressed: bool = False) -> bytes:
     """
     data = io.BytesIO()
 
-    def place(part: Any) -> list[Any]:
+    def place(part: Any) -> list[Any] | str:
         begin = data.tell()
         if isinstance(part, np.ndarray) and part.dtype.kind in "biuf":
             data.write(part.tobytes())
             return [begin, part.nbytes, part.dtype.str, *part.shape]
         if isinstance(part, shapely.Geometry):
             return [begin, data.write(shapely.to_wkb(part))]
+        if isinstance(part, Path):
+            return str(part)
         raise TypeError(f"a file cannot hold {type(part).__name__}")
 
     fields = vars(value)
@@ -96,6 +100,8 @@ def from_arrays(arrays: Mapping[str, npt.NDArray[Any]], kind: type[T]) -> T:
     tree, data = json.loads(arrays[_HEADER].tobytes()), arrays[_DATA].tobytes()
 
     def part(hint: Any, place: Any) -> Any:
+        if hint is Path:
+            return Path(place)
         if isinstance(place, np.ndarray):
             array = place
         else:

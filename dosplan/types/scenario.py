@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -236,6 +237,10 @@ class Scenario:
         signals: The lights of the map as they are recorded, future included.
         tags: The file's tags (``simulated``, ``highway``, ...).
         notes: Parts of the file that were left out or corrected; a line each.
+        interactive: Whether the file holds no more than the first states of its road users, whom
+            a simulator has to move: there is no recording.
+        sumo: Configuration with which SUMO can drive the traffic, a ``.sumo.cfg`` file; None where
+            there is none.
     """
 
     id: str
@@ -248,6 +253,8 @@ class Scenario:
     signals: Signals = field(default_factory=Signals)
     tags: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
+    interactive: bool = False
+    sumo: Path | None = None
 
 
 def place_of(scenario_id: str) -> str:

@@ -41,7 +41,8 @@ PLUGINS_MAY_IMPORT: Final = {
     "cli.command": "*/commands.py", "cli.arguments": "*/commands.py",
     "report.progress": "*/commands.py",
     # What is learned or measured on recordings before a plug-in is used.
-    "scenario": "*/training/*, */measure.py", "simulation.world": "*/training/*, */measure.py",
+    "scenario": "*/training/*, */measure.py, traffic/dosplan_sumo/*",
+    "simulation.world": "*/training/*, */measure.py",
     "evaluation.groups": "*/training/*, */calibration.py",
     # What a traffic is.
     "simulation.traffic": "traffic/*",
@@ -160,7 +161,7 @@ def sources() -> Sources:
 
 
 def test_the_sources_are_all_there(sources: Sources) -> None:
-    ours = {"dosplan_mpc", "dosplan_baseline", "dosplan_simple", "dosplan_reactive"}
+    ours = {"dosplan_mpc", "dosplan_baseline", "dosplan_simple", "dosplan_reactive", "dosplan_sumo"}
     assert ours <= sources.kinds.keys()
     assert {room for rooms in FLOORS for room in rooms} <= {
         name.split(".")[1] for name, _ in sources.core()

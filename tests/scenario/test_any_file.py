@@ -330,13 +330,13 @@ def test_who_moves_without_a_trajectory_has_left_a_recording(tmp_path: Path) -> 
     assert tracks.valid.sum(axis=1).tolist() == [30, 1, 51]
 
 
-def test_interactive_traffic_is_refused(tmp_path: Path) -> None:
-    text = scenario_xml(scenes.straight_road(), [_alone(8, 90.0, 0.0), _alone(9, 99.0, 8.0)])
-    line = refusal(tmp_path, text)
-    assert "none of its 2 dynamic obstacles a trajectory" in line
-    assert "obstacle 9 moves" in line
-    with pytest.raises(ScenarioError, match="interactive"):
+def test_interactive_traffic_is_no_recording(tmp_path: Path) -> None:
+    scenario = loaded(tmp_path, users=[_alone(8, 90.0, 0.0), _alone(9, 99.0, 8.0)])
+    assert scenario.interactive
+    assert scenario.tracks.valid[:, 0].all()
+    with pytest.raises(ScenarioError, match=r"first states .* --traffic sumo"):
         load_recording(tmp_path / "scene.xml")
+    assert not loaded(tmp_path, users=[CAR, _alone(9, 99.0, 8.0)]).interactive
 
 
 # One line that names the part.

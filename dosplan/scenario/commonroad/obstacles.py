@@ -211,8 +211,7 @@ def read_tracks(
     together. The first has its id, the others ids that nothing in the file has.
 
     One without a trajectory that stands stays where it is. One that moves has left the scene after
-    its only state, unless no road user in the file has a trajectory: then the traffic is
-    interactive, that is, a simulator moves the road users, and the file cannot be replayed.
+    its only state.
 
     Args:
         root: The file's root element.
@@ -225,16 +224,10 @@ def read_tracks(
         at rest.
 
     Raises:
-        FaultError: A road user cannot be read, has no size or one beyond ``MAX_SIZE``, there are
-            more than ``MAX_STATES`` states, or the road users' ways are not in the file.
+        FaultError: A road user cannot be read, has no size or one beyond ``MAX_SIZE``, or there
+            are more than ``MAX_STATES`` states.
     """
     dynamic, static = _listed(root)
-    if (moving := _interactive(dynamic)) is not None:
-        raise FaultError(
-            f"gives none of its {len(dynamic)} dynamic obstacles a trajectory, and {moving} moves: "
-            "interactive traffic, which a simulator drives; let it drive them, record their "
-            "trajectories into the file, and run that"
-        )
     read: list[_Obstacle] = []
     for elements, make in ((dynamic, _dynamic), (static, _static)):
         for element in elements:
@@ -271,16 +264,27 @@ def _listed(root: Element) -> tuple[list[Element], list[Element]]:
     return dynamic, static
 
 
-def _interactive(dynamic: Sequence[Element]) -> str | None:
-    """What moves in a file in which no road user has a trajectory; None in any other."""
+def interactive(root: Element) -> bool:
+    """Whether a file leaves it to a simulator to move its road users.
+
+    Args:
+        root: The file's root element.
+
+    Returns:
+        Whether somebody moves, and nobody has a trajectory.
+
+    Raises:
+        FaultError: A road user cannot be read.
+    """
+    dynamic, _ = _listed(root)
     if any(element.find("trajectory/state") is not None for element in dynamic):
-        return None
+        return False
     for element in dynamic:
         with naming(label(element)):
             speed = child(element, "initialState").find("velocity")
             if speed is not None and abs(middle(speed)) > STANDING:
-                return label(element)
-    return None
+                return True
+    return False
 
 
 def _dynamic(element: Element, resampling: Resampling, _: shapely.Geometry) -> _Obstacle:

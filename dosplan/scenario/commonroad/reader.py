@@ -25,7 +25,7 @@ from dosplan.scenario.commonroad.elements import (
     references,
     step,
 )
-from dosplan.scenario.commonroad.obstacles import Resampling, read_tracks
+from dosplan.scenario.commonroad.obstacles import Resampling, interactive, read_tracks
 from dosplan.scenario.commonroad.regulation import signals
 from dosplan.scenario.commonroad.road_map import read_road_map
 from dosplan.scenario.commonroad.states import SHAPES, Part, position, read_shape, region
@@ -168,6 +168,7 @@ def _scenario(document: Document, ref: ScenarioRef, ego_optional: bool) -> Scena
         signals=signals(read.lights, problem.resampling, max(final_step, tracks.steps - 1)),
         tags=_tags(root),
         notes=(*read.notes, *notes),
+        interactive=interactive(root),
     )
 
 

@@ -3,10 +3,11 @@
 The folder is named by the archive's content, so that a run that is resumed, its workers and the
 next run find the same files; on a cluster, the cache has to be on a file system that all see.
 
-Archives are not trusted: only regular files with the ending of a scenario are written, each inside
-the folder, and no more than ``MAX_UNPACKED`` bytes of them. An archive that breaks one of these
-rules is refused as a whole, before any of it is read. A member of a ``.zip`` that is damaged
-becomes an empty file, and so a row that fails like any broken file.
+Archives are not trusted: only regular files with the ending of a scenario, or of what SUMO drives
+its traffic from, are written, each inside the folder, and no more than ``MAX_UNPACKED`` bytes of
+them. An archive that breaks one of these rules is refused as a whole, before any of it is read. A
+member of a ``.zip`` that is damaged becomes an empty file, and so a row that fails like any broken
+file.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from dosplan.scenario.commonroad.document import MAX_BYTES, SUFFIXES, ScenarioError
+from dosplan.scenario.sources.sumo import is_of_sumo
 from dosplan.system.folders import cache_folder
 
 MAX_UNPACKED: Final = 16 * 1024**3
@@ -40,6 +42,8 @@ KEPT_SECONDS: Final = 30 * 24 * 3600.0
 
 _TAR: Final = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tar.xz", ".txz")
 ENDINGS: Final = (".zip", *_TAR)
+_KINDS: Final = ".2"
+"""Changes with the kinds of files that are written."""
 _LISTING: Final = "listing.json"
 _ENCRYPTED: Final = 0x1
 _DAMAGED: Final = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError)
@@ -77,9 +81,9 @@ def is_scenario(name: str) -> bool:
         name: Its name, without the folder.
 
     Returns:
-        Whether it has the ending of one and is not hidden.
+        Whether it has the ending of one, is not hidden, and not SUMO's.
     """
-    return name.endswith(SUFFIXES) and not name.startswith(".")
+    return name.endswith(SUFFIXES) and not name.startswith(".") and not is_of_sumo(name)
 
 
 def unpacked(archive: Path) -> Path:
@@ -97,7 +101,7 @@ def unpacked(archive: Path) -> Path:
     try:
         with archive.open("rb") as stream:
             digest = file_digest(stream, "sha256").hexdigest()[:32]
-            place = cache_folder() / "archives" / digest
+            place = cache_folder() / "archives" / f"{digest}{_KINDS}"
             if not _whole(place):
                 stream.seek(0)
                 _unpack(archive, stream, place)
@@ -146,7 +150,8 @@ def _write(archive: Path, members: Iterator[_Member], folder: Path) -> dict[str,
                 archive,
                 f"holds more than {MAX_UNPACKED} bytes or {MAX_MEMBERS} members; split it",
             )
-        if member.is_folder or not is_scenario(member.name.rpartition("/")[2]):
+        name = member.name.rpartition("/")[2]
+        if member.is_folder or not (is_scenario(name) or is_of_sumo(name)):
             continue
         place = (root / member.name).resolve()
         if not place.is_relative_to(root):

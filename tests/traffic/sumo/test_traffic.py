@@ -1,0 +1,224 @@
+"""Traffic that SUMO drives around the ego."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from dosplan.geometry import rectangle_corners
+from dosplan.scenario import load_scenario
+from dosplan.simulation.world import World
+from dosplan.types import (
+    EGO_VELOCITY,
+    USER_VELOCITY,
+    FloatArray,
+    RoadUserKind,
+    Scenario,
+    Tracks,
+)
+from tests.support.suite import drives
+from tests.support.sumo import ZEBRA, interactive_folder, suite_file
+
+libsumo = pytest.importorskip("libsumo", reason="needs dosplan[sumo]")
+
+from dosplan_sumo.simulator import SumoError  # noqa: E402
+from dosplan_sumo.traffic import SumoTraffic  # noqa: E402
+
+MERGE = "ZAM_OnRamp-2_1_T-1"
+
+
+@pytest.fixture
+def traffic() -> Iterator[SumoTraffic]:
+    """A traffic that is closed at the end."""
+    made = SumoTraffic()
+    yield made
+    made.close()
+
+
+def _drive(traffic: SumoTraffic, scenario: Scenario, ego: FloatArray) -> Tracks:
+    """The traffic around an ego with the states (K, 4) x, y, heading, velocity of its centre."""
+    vehicle = scenario.task.vehicle
+    world = World(scenario, traffic)
+    states = [np.array(scenario.task.start)]
+    for x, y, heading, velocity in ego:
+        states.append(vehicle.state_at(np.array([x, y]), heading, velocity, 0.0))
+        step = world.now + 1
+        world._others.add(step, traffic.step(step, np.stack(states)))
+        world._states = list(states)
+    return world.tracks
+
+
+def _recorded_drive(name: str) -> tuple[Scenario, FloatArray]:
+    return load_scenario(suite_file(name)), drives()[name][1:]
+
+
+def _braking(scenario: Scenario, steps: int) -> FloatArray:
+    """The ego brakes on its way with 6 m/s2, from the start on."""
+    x, y, heading = scenario.task.vehicle.poses(scenario.task.start[None])[0]
+    velocity, rows = float(scenario.task.start[EGO_VELOCITY]), []
+    for _ in range(steps):
+        velocity = max(0.0, velocity - 0.6)
+        x, y = x + 0.1 * velocity * np.cos(heading), y + 0.1 * velocity * np.sin(heading)
+        rows.append((x, y, heading, velocity))
+    return np.array(rows)
+
+
+def _same(one: Tracks, other: Tracks) -> bool:
+    return (
+        one.ids.tolist() == other.ids.tolist()
+        and np.array_equal(one.states, other.states, equal_nan=True)
+        and np.array_equal(one.valid, other.valid)
+    )
+
+
+@pytest.mark.parametrize("name", [ZEBRA, MERGE])
+def test_around_the_recorded_ego_the_recording_comes_back(name: str, traffic: SumoTraffic) -> None:
+    scenario, drive = _recorded_drive(name)
+    tracks = _drive(traffic, scenario, drive)
+    gaps = []
+    there = scenario.tracks.valid[:, scenario.task.start_step]
+    for row in np.flatnonzero(there):  # Who comes later has a number of SUMO's demand.
+        (driven,) = np.flatnonzero(tracks.ids == scenario.tracks.ids[row])
+        both = tracks.valid[driven] & scenario.tracks.valid[row, : tracks.steps]
+        away = tracks.states[driven] - scenario.tracks.states[row, : tracks.steps]
+        gaps.append(np.hypot(*away[both, :2].T))
+    gap = np.concatenate(gaps)
+    assert gap.mean() < 0.05
+    assert gap.max() < 0.75
+
+
+def test_the_scene_at_the_start_is_that_of_the_file(traffic: SumoTraffic) -> None:
+    scenario = load_scenario(suite_file(ZEBRA))
+    start = scenario.task.start_step
+    past = traffic.begin(scenario, start)
+    for row in np.flatnonzero(scenario.tracks.valid[:, : start + 1].any(axis=1)):
+        (there,) = np.flatnonzero(past.ids == scenario.tracks.ids[row])
+        np.testing.assert_array_equal(past.states[there], scenario.tracks.states[row, : start + 1])
+
+
+def test_the_others_brake_for_the_ego(traffic: SumoTraffic) -> None:
+    scenario, _ = _recorded_drive(MERGE)
+    ego = _braking(scenario, 60)
+    tracks = _drive(traffic, scenario, ego)
+    at_end = tracks.states[tracks.valid[:, -1], -1]
+    sizes = tracks.size[tracks.valid[:, -1]]
+    boxes = shapely.polygons(rectangle_corners(at_end[:, :3], sizes))
+    x, y, heading, _ = ego[-1]
+    own = shapely.Polygon(rectangle_corners(ego[-1, :3], scenario.task.vehicle.size))
+    assert not shapely.intersects(boxes, own).any()
+    behind = (at_end[:, :2] - (x, y)) @ np.array([np.cos(heading), np.sin(heading)])
+    assert (at_end[(behind < 0.0) & (behind > -30.0), USER_VELOCITY] < 0.5).any()
+
+
+def test_the_same_seed_gives_the_same_road_users_and_another_future_others() -> None:
+    scenario, drive = _recorded_drive(ZEBRA)
+    driven = []
+    for future in (0, 0, 1, 1, 2):
+        traffic = SumoTraffic(seed=3, future=future)
+        driven.append(_drive(traffic, scenario, drive))
+        traffic.close()
+    assert _same(driven[0], driven[1])
+    assert _same(driven[2], driven[3])
+    assert not _same(driven[0], driven[2])
+    assert not _same(driven[2], driven[4])
+    start = scenario.task.start_step + 1
+    for other in driven:  # One past.
+        np.testing.assert_array_equal(other.states[:, :start], driven[0].states[:, :start])
+
+
+def test_sumo_sees_the_rectangle_of_the_ego(traffic: SumoTraffic) -> None:
+    scenario, drive = _recorded_drive(MERGE)
+    vehicle = scenario.task.vehicle
+    _drive(traffic, scenario, drive[:5])
+    seen = libsumo.vehicle
+    name = "egoVehicle"
+    x, y, heading, velocity = drive[4]
+    front = np.array([x, y]) + 0.5 * vehicle.length * np.array([np.cos(heading), np.sin(heading)])
+    assert seen.getPosition(name) == pytest.approx(front, abs=1e-9)
+    assert seen.getAngle(name) == pytest.approx((90.0 - np.rad2deg(heading)) % 360.0, abs=1e-9)
+    assert seen.getSpeed(name) == pytest.approx(velocity)
+    assert (seen.getLength(name), seen.getWidth(name)) == (vehicle.length, vehicle.width)
+    assert seen.getLaneID(name)
+
+
+def test_an_ego_that_leaves_the_road_and_comes_back_is_taken_out_and_in(
+    traffic: SumoTraffic,
+) -> None:
+    scenario, drive = _recorded_drive(ZEBRA)
+    away = drive[:30].copy()
+    away[10:20, 0] += 500.0
+    assert _drive(traffic, scenario, away).steps == scenario.task.start_step + 31
+    assert libsumo.vehicle.getLaneID("egoVehicle")
+
+
+def test_a_second_simulation_in_the_process_is_refused(traffic: SumoTraffic) -> None:
+    scenario = load_scenario(suite_file(ZEBRA))
+    traffic.begin(scenario, scenario.task.start_step)
+    other = SumoTraffic()
+    with pytest.raises(SumoError, match="another simulation"):
+        other.begin(scenario, scenario.task.start_step)
+    other.close()
+    traffic.step(scenario.task.start_step + 1, np.tile(scenario.task.start, (2, 1)))  # It goes on.
+    traffic.close()
+    other.begin(scenario, scenario.task.start_step)
+    other.close()
+
+
+def test_a_folder_without_trajectories_starts_as_its_file_says(
+    tmp_path: Path, traffic: SumoTraffic
+) -> None:
+    scenario = load_scenario(interactive_folder(tmp_path))
+    assert scenario.interactive
+    assert scenario.task.start_step == 0
+    tracks = _drive(traffic, scenario, _braking(scenario, 30))
+    for row, user in enumerate(scenario.tracks.ids):
+        (there,) = np.flatnonzero(tracks.ids == user)
+        np.testing.assert_array_equal(tracks.states[there, 0], scenario.tracks.states[row, 0])
+        moved = np.hypot(*np.diff(tracks.states[there, :, :2], axis=0).T)
+        assert np.nanmax(moved) < 2.0, "nobody leaps"
+    assert tracks.valid[:, -1].sum() > len(scenario.tracks.ids) // 2
+
+
+def test_road_users_that_sumo_does_not_have_there_are_put_there(
+    tmp_path: Path, traffic: SumoTraffic
+) -> None:
+    scene = interactive_folder(tmp_path, MERGE)
+    configuration = scene.with_name(f"{MERGE}.sumo.cfg")
+    text = configuration.read_text()
+    seed = text.partition('<seed value="')[2].partition('"')[0]
+    configuration.write_text(text.replace(f'<seed value="{seed}"', '<seed value="12345"'))
+    scenario = load_scenario(scene)
+    traffic.begin(scenario, 0)
+    ego = np.tile(scenario.task.start, (2, 1))
+    users = traffic.step(1, ego)
+    tracks = scenario.tracks
+    for row in np.flatnonzero(tracks.valid[:, 0]):
+        (there,) = np.flatnonzero(users.ids == tracks.ids[row])
+        way = np.hypot(*(users.states[there, :2] - tracks.states[row, 0, :2]))
+        expected = 0.1 * tracks.states[row, 0, USER_VELOCITY]
+        assert way == pytest.approx(expected, abs=0.15)
+        assert users.kinds[there] is tracks.kinds[row]
+
+
+DATA = Path(os.environ.get("DOSPLAN_DATA", "/nowhere")) / "interactive"
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="needs interactive/ in DOSPLAN_DATA")
+def test_an_official_interactive_scenario(traffic: SumoTraffic) -> None:
+    name = "DEU_Frankfurt-34_11_I-1"
+    scenario = load_scenario(DATA / name / f"{name}.cr.xml")
+    past = traffic.begin(scenario, 0)
+    assert set(scenario.tracks.ids.tolist()) <= set(past.ids.tolist())
+    tracks = _drive(traffic, scenario, _braking(scenario, 50))
+    known = np.isin(tracks.ids, scenario.tracks.ids)
+    assert tracks.valid[known].all()
+    assert all(kind is RoadUserKind.CAR for kind in tracks.kinds)
+    np.testing.assert_array_equal(tracks.states[known, 0], scenario.tracks.states[:, 0])
+    way = np.hypot(*np.diff(tracks.states[known, :, :2], axis=1).transpose(2, 0, 1))
+    assert way.max() < 4.0
+    assert way.max() > 2.5

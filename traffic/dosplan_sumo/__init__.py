@@ -1,0 +1,1 @@
+"""Traffic that SUMO drives around the ego."""

@@ -1,4 +1,4 @@
-"""Geometry of the plane, ellipses and paths in it, the goal's regions, and lights by lane."""
+"""Geometry of the plane, ellipses and paths in it, the goal's regions, lights and stops."""
 
 from dosplan.geometry.ellipse import (
     ellipse_area,
@@ -30,6 +30,7 @@ from dosplan.geometry.plane import (
     to_world,
     wrap_angle,
 )
+from dosplan.geometry.stops import StopRules, StopSettings, Wait
 
 __all__ = [
     "NO_LIGHT",
@@ -42,6 +43,9 @@ __all__ = [
     "LightIndex",
     "LightsAhead",
     "ReferencePath",
+    "StopRules",
+    "StopSettings",
+    "Wait",
     "areas",
     "braking_envelope",
     "close_seams",

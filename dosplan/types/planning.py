@@ -272,6 +272,8 @@ class SolveReport:
         active_ids: Ids of the road users whose sets touch the plan.
         fallback: Name of the fallback that was driven, or None.
         road_slack: How far the plan leaves the road, as the planner itself computes it, m.
+        waits_for: Why the ego stops, or will, in a few words, such as ``light 31``; None where no
+            rule asks for it or the planner does not say.
     """
 
     status: SolveStatus = SolveStatus.NOT_OPTIMISED
@@ -281,6 +283,7 @@ class SolveReport:
     active_ids: tuple[int, ...] = ()
     fallback: str | None = None
     road_slack: float = 0.0
+    waits_for: str | None = None
 
     def __post_init__(self) -> None:
         checks = (
@@ -295,6 +298,7 @@ class SolveReport:
             ),
             ("fallback", isinstance(self.fallback, str | None), "a name or None"),
             ("road_slack", _finite(self.road_slack), "a finite number"),
+            ("waits_for", isinstance(self.waits_for, str | None), "a text or None"),
         )
         for name, holds, wanted in checks:
             if not holds:

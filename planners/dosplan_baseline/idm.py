@@ -7,13 +7,20 @@ Kesting, "Traffic Flow Dynamics", 2013, sec. 11.3.7 and table 11.2 (city traffic
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 
 from dosplan.api import Planner
-from dosplan.geometry import ReferencePath, rectangle_corners, set_sizes
+from dosplan.geometry import (
+    ReferencePath,
+    StopRules,
+    StopSettings,
+    braking_envelope,
+    rectangle_corners,
+    set_sizes,
+)
 from dosplan.types import (
     EGO_VELOCITY,
     FloatArray,
@@ -23,9 +30,12 @@ from dosplan.types import (
     Plan,
     PlanningTask,
     RoadMap,
+    SolveReport,
 )
 from dosplan.vehicle import VehicleParameters
 from dosplan_baseline.tracking import PathFollower, bend_speed, extended_path
+
+_UNLIMITED = 100.0  # m/s; stands for no speed limit.
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,9 @@ class IdmSettings:
         goal_margin: Distance from either end of the goal's region that is aimed at, m.
         searched_steps: Predicted steps in which a leader is looked for; the default is the time
             gap.
+        limit_factor: How many times the map's speed limit it drives at the most.
+        limit_first: Whether it keeps that where it is late for its goal.
+        stops: When it stops for lights, signs and crosswalks.
     """
 
     time_gap: float = 1.0
@@ -58,6 +71,9 @@ class IdmSettings:
     side_margin: float = 0.2
     goal_margin: float = 2.0
     searched_steps: int = 10
+    limit_factor: float = 1.0
+    limit_first: bool = False
+    stops: StopSettings = StopSettings()
 
     def __post_init__(self) -> None:
         for name in ("time_gap", "least_gap", "side_margin", "goal_margin"):
@@ -65,7 +81,7 @@ class IdmSettings:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
         for name in (
             "acceleration", "deceleration", "exponent", "full_braking", "lateral_acceleration",
-            "least_velocity", "searched_steps",
+            "least_velocity", "searched_steps", "limit_factor",
         ):  # fmt: skip
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected more than 0")
@@ -82,6 +98,17 @@ class Leaders:
 
     rear: FloatArray
     velocity: FloatArray
+
+    def with_standing(self, rear: float) -> Leaders:
+        """These and one that stands.
+
+        Args:
+            rear: Arc length of its nearest point, m.
+
+        Returns:
+            All of them.
+        """
+        return Leaders(np.append(self.rear, rear), np.append(self.velocity, 0.0))
 
 
 def idm_acceleration(
@@ -189,6 +216,10 @@ class IdmEpisode:
         self._settings = settings
         self._follower = PathFollower(path, vehicle, task.dt)
         self._bends = bend_speed(path, settings.lateral_acceleration, settings.deceleration)
+        legal = np.minimum(settings.limit_factor * task.route.speed_limit, _UNLIMITED)
+        self._legal = braking_envelope(legal**2, task.route.arclength, settings.deceleration)
+        self._route_arclength = task.route.arclength
+        self._rules = StopRules(task, settings.stops)
         self._start_velocity = float(task.start[EGO_VELOCITY])
         self._goals = [(goal, _extent(goal, path, settings.goal_margin)) for goal in task.goals]
 
@@ -203,18 +234,43 @@ class IdmEpisode:
             The plan.
         """
         settings, vehicle = self._settings, self._follower.vehicle
-        leaders = find_leaders(self._follower.path, observation, occupancy, vehicle, settings)
+        path = self._follower.path
+        leaders = find_leaders(path, observation, occupancy, vehicle, settings)
         desired = self.desired_velocity(observation)
+        needed = 0.0 if settings.limit_first else self.needed_velocity(observation)
         front = vehicle.rear_to_centre + 0.5 * vehicle.length
+        centre = float(path.locate(vehicle.centre(observation.ego)))
+        wait = self._rules.wait(observation, occupancy, centre + 0.5 * vehicle.length)
+        if wait is not None:
+            # A line is a standing leader, so far behind it that the gap ends at the place.
+            leaders = leaders.with_standing(wait.place + settings.least_gap)
 
         def acceleration(step: int, s: float, velocity: float) -> float:
-            allowed = min(desired, float(np.interp(s, *self._bends)))
+            allowed = min(
+                desired,
+                float(np.interp(s, *self._bends)),
+                max(needed, float(np.interp(s, self._route_arclength, self._legal))),
+            )
             gap = leaders.rear + leaders.velocity * step * observation.dt - (s + front)
             return idm_acceleration(
                 velocity, max(allowed, settings.least_velocity), gap, leaders.velocity, settings
             )
 
-        return self._follower.roll_out(observation.ego, acceleration)
+        plan = self._follower.roll_out(observation.ego, acceleration)
+        if wait is None:
+            return plan
+        return replace(plan, report=SolveReport(waits_for=wait.reason))
+
+    def needed_velocity(self, observation: Observation) -> float:
+        """The least mean speed that brings the ego to its goal before the deadline.
+
+        Returns:
+            m/s; not positive where it is there.
+        """
+        goal, (near, _) = self._next_goal(observation.step)
+        time = (max(goal.last_step, observation.step + 1) - observation.step) * observation.dt
+        s = float(self._follower.path.locate(self._follower.vehicle.centre(observation.ego)))
+        return (near - s) / time
 
     def desired_velocity(self, observation: Observation) -> float:
         """The start's speed, changed only as far as the goal's region, time and speed require.
@@ -223,14 +279,16 @@ class IdmEpisode:
             m/s.
         """
         now = observation.step
-        goal, (near, far) = next(
-            (pair for pair in self._goals if pair[0].last_step > now), self._goals[-1]
-        )
+        goal, (near, far) = self._next_goal(now)
         window = max(goal.first_step, now + 1), max(goal.last_step, now + 1)
         time = (0.5 * sum(window) - now) * observation.dt
         s = float(self._follower.path.locate(self._follower.vehicle.centre(observation.ego)))
         on_time = float(np.clip(self._start_velocity, (near - s) / time, (far - s) / time))
         return float(np.clip(on_time, *(goal.velocity or (0.0, np.inf))))
+
+    def _next_goal(self, now: int) -> tuple[GoalState, tuple[float, float]]:
+        """The first goal whose time is not over, or the last one; and where it begins and ends."""
+        return next((pair for pair in self._goals if pair[0].last_step > now), self._goals[-1])
 
 
 class IdmPlanner(Planner):

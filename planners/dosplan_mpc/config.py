@@ -11,6 +11,8 @@ from collections.abc import Collection
 from dataclasses import dataclass, fields
 from typing import Any
 
+from dosplan.geometry import StopSettings
+
 
 def _check(settings: Any, positive: Collection[str] = (), shares: Collection[str] = ()) -> None:
     """Refuses numbers that are negative or not finite.
@@ -133,6 +135,9 @@ class SpeedSettings:
         early_metres: A goal's edges and heading count this far before its region, m.
         late_metres: And this far behind it, m.
         early_steps: And so many steps before its time window.
+        limit_factor: How many times the map's speed limit the reference may be.
+        limit_first: Whether the speed limit is kept where a goal's deadline is missed by it, and
+            where a follower is close behind.
     """
 
     winding: float = 1.5
@@ -152,11 +157,16 @@ class SpeedSettings:
     early_metres: float = 2.0
     late_metres: float = 1.0
     early_steps: int = 5
+    limit_factor: float = 1.0
+    limit_first: bool = False
 
     def __post_init__(self) -> None:
         _check(
             self,
-            positive={"winding", "steering_share", "run_up", "shortest_approach", "approach_end"},
+            positive={
+                *("winding", "steering_share", "run_up", "shortest_approach", "approach_end"),
+                "limit_factor",
+            },
             shares={"depth_share", "velocity_margin", "approach_end", "heading_share"},
         )
 
@@ -265,6 +275,25 @@ class SamplerSettings:
 
 
 @dataclass(frozen=True)
+class BarrierSettings:
+    """Settings of the way to a line before which the ego has to stop (``barrier``).
+
+    A standing set blocks the road behind the line, so that a plan does not pass it for the sake of
+    anything else.
+
+    Attributes:
+        length: Half length of that set along the path, m.
+        width: Its half width, m.
+    """
+
+    length: float = 10.0
+    width: float = 5.0
+
+    def __post_init__(self) -> None:
+        _check(self, positive={"length", "width"})
+
+
+@dataclass(frozen=True)
 class MpcConfig:
     """Settings of the optimal control problem and of what surrounds it.
 
@@ -304,6 +333,8 @@ class MpcConfig:
         traffic: Leader, follower and cruising speed.
         sets: The forbidden sets.
         sampler: The sampled alternatives.
+        stops: When the ego stops for lights, signs and crosswalks.
+        barrier: How it does.
     """
 
     horizon: int = 30
@@ -340,6 +371,8 @@ class MpcConfig:
     traffic: TrafficSettings = TrafficSettings()
     sets: SetSettings = SetSettings()
     sampler: SamplerSettings = SamplerSettings()
+    stops: StopSettings = StopSettings()
+    barrier: BarrierSettings = BarrierSettings()
 
     def __post_init__(self) -> None:
         _check(

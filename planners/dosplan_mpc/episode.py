@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from dosplan.geometry import PATH_SIZE
+from dosplan.geometry import PATH_SIZE, StopRules, Wait
 from dosplan.types import (
     EGO_HEADING,
     EGO_SIZE,
@@ -24,6 +24,7 @@ from dosplan.types import (
     SolveReport,
 )
 from dosplan.vehicle import VehicleParameters
+from dosplan_mpc.barrier import BARRIER_ID, barrier
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.goal_window import locate_goals
 from dosplan_mpc.limits import half_width
@@ -32,7 +33,7 @@ from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, stretc
 from dosplan_mpc.reference import PATH_LEFT, PATH_RIGHT, EgoOnPath, aligned_path
 from dosplan_mpc.sampler import Candidates, Sampler
 from dosplan_mpc.shape import STATIONS, disc_offsets, station_offsets
-from dosplan_mpc.speed_profile import SpeedPlanner, SpeedProfile
+from dosplan_mpc.speed_profile import LegalSpeed, SpeedPlanner, SpeedProfile
 from dosplan_mpc.stage import (
     ACCELERATION,
     INPUT_SIZE,
@@ -55,12 +56,14 @@ class _LastCycle:
         guess: What it planned.
         slack: Largest slack of a set.
         cycles: Number of cycles since the plan was last replaced by another one.
+        line: Arc length of the line that the ego waited for, m, or None.
     """
 
     step: int
     guess: Guess
     slack: float
     cycles: int
+    line: float | None
 
 
 @dataclass(frozen=True)
@@ -72,12 +75,26 @@ class _Scene:
         ego: The same relative to the path.
         profile: Reference of the next steps.
         sets: Forbidden sets of the road users nearby.
+        wait: The line before which the ego has to stop, or None.
+        barrier: The set behind that line, or None.
     """
 
     start: FloatArray
     ego: EgoOnPath
     profile: SpeedProfile
     sets: ForbiddenSets
+    wait: Wait | None
+    barrier: ForbiddenSets | None
+
+    @property
+    def line(self) -> float | None:
+        """Arc length of the line before which the ego has to stop, m, or None."""
+        return None if self.wait is None else self.wait.line
+
+    @property
+    def forbidden(self) -> ForbiddenSets:
+        """All that candidates are rated by: the sets of road users and the barrier."""
+        return self.sets.joined(self.barrier)
 
 
 class _Attempt(NamedTuple):
@@ -118,7 +135,9 @@ class MpcEpisode:
         windows = locate_goals(task, self._path, config.goal, self._farthest)
         self._has_goals = bool(windows)
         self._lane = Lane(config.traffic, self._path, vehicle, float(task.start[EGO_VELOCITY]))
-        self._speed = SpeedPlanner(config, vehicle, self._path, windows, task.dt)
+        limits = LegalSpeed.of(task.route, config.speed.limit_factor)
+        self._speed = SpeedPlanner(config, vehicle, self._path, windows, limits, task.dt)
+        self._rules = StopRules(task, config.stops)
         self._sampler = Sampler(config, vehicle, self._path, task.dt)
         self._arclength = float(self._path.locate(task.start[:2]))
         self._last: _LastCycle | None = None
@@ -136,11 +155,11 @@ class MpcEpisode:
         scene = self._look(observation, occupancy)
         attempts, fallback = self._attempts(observation.step, scene)
         best = min(attempts, key=lambda a: (not a.solution.usable, a.solution.cost))
-        report = _report(attempts, best)
+        report = _report(attempts, best, scene.wait)
         if not best.solution.usable and fallback is not None:
             self._last = None
             return _plan(observation, fallback, replace(report, fallback="sampled"))
-        self._last = self._remember(observation.step, best.solution, report.slack)
+        self._last = self._remember(observation.step, best.solution, report.slack, scene.line)
         return _plan(observation, self._last.guess, report)
 
     def _look(self, observation: Observation, occupancy: Occupancy) -> _Scene:
@@ -151,13 +170,27 @@ class MpcEpisode:
         # The road that is left on the map has to last until the final step.
         left = max(self._final_step - observation.step, 1) * self._dt
         cruise = min(traffic.cruise, max(self._farthest - ego.position, 0.0) / left)
-        profile = self._speed.plan(ego, replace(traffic, cruise=cruise))
+        half = 0.5 * self._vehicle.length
+        wait = self._rules.wait(observation, occupancy, ego.position + half)
+        stop = None if wait is None else wait.place - half
+        profile = self._speed.plan(ego, replace(traffic, cruise=cruise), stop)
         return _Scene(
             start=np.append(observation.ego, _previous_acceleration(observation)),
             ego=ego,
             profile=profile,
             sets=self._sets(observation, occupancy, profile, traffic),
+            wait=wait,
+            barrier=None if wait is None else self._barrier(wait),
         )
+
+    def _penalty(self) -> FloatArray:
+        """(N,) penalty on entering a set at each step."""
+        steps = self._config.horizon
+        return self._config.set_penalty * np.linspace(1.0, self._config.far_penalty, steps)
+
+    def _barrier(self, wait: Wait) -> ForbiddenSets:
+        """The set behind a line."""
+        return barrier(self._config, self._vehicle, self._path, wait.line, self._penalty())
 
     def _locate(self, observation: Observation) -> EgoOnPath:
         """Where the ego is on the path, near to where it was."""
@@ -184,10 +217,9 @@ class MpcEpisode:
         away = np.sqrt((delta**2).sum(axis=-1)).min(axis=-1, initial=np.inf)
         keep = np.argsort(away, kind="stable")[: config.sets.watched]
         keep = keep[np.isfinite(away[keep])]
-        penalty = config.set_penalty * np.linspace(1.0, config.far_penalty, n)
         # An episode ends with its goal's deadline: nothing later may block the last metres.
         extended = max(self._final_step - observation.step, 0) if self._has_goals else n
-        sets = forbidden_sets(occupancy, self._radius, keep, penalty, extended)
+        sets = forbidden_sets(occupancy, self._radius, keep, self._penalty(), extended)
         sets = stretch_back(sets, traffic.followers[keep], config.sets.tail)
         return release(sets, self._sampler.disc_centres(observation.ego), self._dt, config.sets)
 
@@ -203,6 +235,8 @@ class MpcEpisode:
         if warm is not None:
             attempts.append(self._solve(scene, warm))
         due = last is None or last.cycles % self._config.resample_every == 0
+        # Another line is another problem: the last plan may be on the wrong side of it.
+        due = due or (last is not None and last.line != scene.line)
         pressed = last is not None and last.slack > settings.slack_seen
         if not due and not pressed and _any_usable(attempts):
             return attempts, None
@@ -216,7 +250,7 @@ class MpcEpisode:
     def _best_candidate(self, scene: _Scene) -> tuple[Guess, float]:
         """The best sampled candidate and its cost."""
         candidates = self._sampler.sample(scene.start, scene.ego, scene.profile)
-        costs = self._sampler.rate(candidates, scene.sets, scene.profile)
+        costs = self._sampler.rate(candidates, scene.forbidden, scene.profile)
         best = int(np.argmin(costs))
         return candidates.guess(best), float(costs[best])
 
@@ -226,7 +260,7 @@ class MpcEpisode:
         states = guess.states.copy()
         states[1:, PREVIOUS_ACCELERATION] = guess.inputs[:, ACCELERATION]
         candidate = Candidates(states[None], guess.inputs[None], s[None], offset[None])
-        return float(self._sampler.rate(candidate, scene.sets, scene.profile)[0])
+        return float(self._sampler.rate(candidate, scene.forbidden, scene.profile)[0])
 
     def _warm_start(self, last: _LastCycle, step: int) -> Guess | None:
         """The last plan, moved along time by the steps that have passed."""
@@ -249,7 +283,9 @@ class MpcEpisode:
             + over * self._dt * states[-1, EGO_VELOCITY],
         )
 
-    def _remember(self, step: int, solution: Solution, slack: float) -> _LastCycle:
+    def _remember(
+        self, step: int, solution: Solution, slack: float, line: float | None
+    ) -> _LastCycle:
         """The part of a solution that the next cycle needs."""
         states = solution.states
         way = np.hypot(np.diff(states[:, EGO_X]), np.diff(states[:, EGO_Y]))
@@ -260,12 +296,17 @@ class MpcEpisode:
             guess=Guess(states, solution.inputs, solution.road_slack, arclength),
             slack=slack,
             cycles=self._last.cycles + 1 if self._last else 1,
+            line=line,
         )
 
     def _solve(self, scene: _Scene, guess: Guess) -> _Attempt:
         """Solves the smallest problem that holds the sets near a guess."""
         discs = self._sampler.disc_centres(guess.states)[1:]
-        near = scene.sets.nearest(discs, self._config.slots, self._config.sets.relevant)
+        slots, relevant = self._config.slots, self._config.sets.relevant
+        blocked = scene.barrier and scene.barrier.nearest(discs, 1, relevant)
+        if blocked is not None and len(blocked.ids):
+            slots -= 1  # A line is never left out for the sake of road users.
+        near = scene.sets.nearest(discs, slots, relevant).joined(blocked)
         problem = next(p for p in self._problems if p.config.slots >= len(near.ids))
         slots = problem.config.slots
         s, _ = self._path.project(guess.states[:, :2], guess.arclength)
@@ -311,7 +352,7 @@ def _any_usable(attempts: list[_Attempt]) -> bool:
     return any(attempt.solution.usable for attempt in attempts)
 
 
-def _report(attempts: list[_Attempt], best: _Attempt) -> SolveReport:
+def _report(attempts: list[_Attempt], best: _Attempt, wait: Wait | None) -> SolveReport:
     """Times and iterations of all attempts of a cycle, and the rest of the best one."""
     solution = best.solution
     touched = solution.set_slack.max(axis=0)[: len(best.sets.ids)] > _SEEN
@@ -321,7 +362,8 @@ def _report(attempts: list[_Attempt], best: _Attempt) -> SolveReport:
         seconds=sum(attempt.solution.seconds for attempt in attempts),
         slack=float(solution.set_slack.max()),
         road_slack=max(float(solution.road_slack.max()), 0.0),
-        active_ids=tuple(int(i) for i in best.sets.ids[touched]),
+        active_ids=tuple(int(i) for i in best.sets.ids[touched] if i != BARRIER_ID),
+        waits_for=None if wait is None else wait.reason,
     )
 
 

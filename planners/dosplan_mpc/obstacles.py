@@ -90,6 +90,22 @@ class ForbiddenSets:
             self.ids[order], self.centre[order], self.matrix[order], self.penalty[order]
         )
 
+    def joined(self, other: ForbiddenSets | None) -> ForbiddenSets:
+        """These sets and others.
+
+        Args:
+            other: Sets for the same steps, or None.
+
+        Returns:
+            All of them, these first.
+        """
+        if other is None:
+            return self
+        parts = ("ids", "centre", "matrix", "penalty")
+        return ForbiddenSets(
+            *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in parts)
+        )
+
     def fill(self, count: int) -> Slot:
         """The sets as the stages of the problem take them.
 

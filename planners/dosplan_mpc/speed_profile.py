@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Self
 
 import numpy as np
 
 from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath, braking_envelope
-from dosplan.types import FloatArray
+from dosplan.types import FloatArray, Route
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig, SpeedSettings, Style
 from dosplan_mpc.goal_window import GoalWindow
@@ -20,6 +22,8 @@ _FASTEST = 45.0  # m/s; the grid reaches as far as this speed takes the ego in t
 _BEYOND_GOAL = 5.0  # m of the grid behind a goal's region.
 # Speeds that are tried for a goal, m/s.
 _SPEEDS = np.concatenate([np.linspace(0.05, 12.0, 80), np.linspace(12.25, 45.0, 132)])
+_UNLIMITED = 100.0  # m/s, more than any plan; a number, so that it can be interpolated.
+_SHORTEST_WAY = 0.1  # m; keeps the braking before a line finite.
 _STRAIGHT = 1e-3  # Curvature below which a path limits no speed, 1/m; also a change of steering.
 
 
@@ -56,11 +60,52 @@ class SpeedLimit:
         arclength: (S,) equally spaced from the ego's centre on, m.
         velocity: (S,) m/s.
         style: The accelerations it is made with.
+        legal: (S,) what the map allows, m/s, with the braking before it; ``_UNLIMITED`` where
+            that is not kept.
     """
 
     arclength: FloatArray
     velocity: FloatArray
     style: Style
+    legal: FloatArray
+
+
+@dataclass(frozen=True)
+class LegalSpeed:
+    """What the map allows along the path.
+
+    Attributes:
+        arclength: (P,) m.
+        velocity: (P,) m/s; ``_UNLIMITED`` where the map names none.
+    """
+
+    arclength: FloatArray
+    velocity: FloatArray
+
+    @classmethod
+    def of(cls, route: Route, factor: float) -> Self:
+        """Reads it from a route.
+
+        Args:
+            route: The route.
+            factor: How many times the limit is taken for allowed.
+
+        Returns:
+            The allowed speed.
+        """
+        return cls(route.arclength, np.minimum(factor * route.speed_limit, _UNLIMITED))
+
+    def at(self, arclength: FloatArray) -> FloatArray:
+        """The allowed speed at arc lengths: that of the last point of the route before it.
+
+        Args:
+            arclength: (S,) m.
+
+        Returns:
+            (S,) m/s.
+        """
+        before = np.searchsorted(self.arclength, arclength, side="right") - 1
+        return self.velocity[np.maximum(before, 0)]
 
 
 def curve_speed(
@@ -100,6 +145,7 @@ class SpeedPlanner:
         vehicle: VehicleParameters,
         path: EvenPath,
         windows: tuple[GoalWindow, ...],
+        legal: LegalSpeed,
         dt: float,
     ) -> None:
         """Keeps what does not change during an episode.
@@ -109,21 +155,24 @@ class SpeedPlanner:
             vehicle: The ego.
             path: Reference path.
             windows: Goals along it; the first that can still be met counts.
+            legal: What the map allows along it.
             dt: Step, s.
         """
         self._config = config
         self._vehicle = vehicle
         self._path = path
         self._windows = windows
+        self._legal = legal
         self._dt = dt
         self._steps = np.arange(config.horizon + 1)
 
-    def plan(self, ego: EgoOnPath, traffic: Traffic) -> SpeedProfile:
+    def plan(self, ego: EgoOnPath, traffic: Traffic, stop: float | None = None) -> SpeedProfile:
         """Speed and offset: for the goal where there is one, with the traffic otherwise.
 
         Args:
             ego: Where the ego is.
             traffic: Speed that is wanted without the goal, and whether a follower is close.
+            stop: Arc length at which the ego's centre has to come to stand, m, or None.
 
         Returns:
             The reference.
@@ -136,15 +185,22 @@ class SpeedPlanner:
             and target < self._config.speed.crawl
         )
         velocity = self._velocity(window, ego, limit, target, waiting)
+        stopping = None if stop is None else self._stopping(ego, velocity, stop)
+        held = waiting
+        if stopping is not None:
+            held = bool(np.any(stopping < velocity))
+            velocity = stopping
         arclength = self._stations(ego.position, velocity)
+        weight = self._config.station_weight * (self._config.speed.waiting if held else 1.0)
+        weights = np.full(len(self._steps), weight)
         if window is None:
-            return _without_goal(velocity, arclength)
+            profile = _without_goal(velocity, arclength)
+            return replace(profile, station_weight=weights) if held else profile
         right, left, heading, heading_weight = self._at_goal(window, ego.step, arclength)
-        weight = self._config.station_weight * (self._config.speed.waiting if waiting else 1.0)
         return SpeedProfile(
             velocity=velocity,
             arclength=arclength,
-            station_weight=np.full(len(self._steps), weight),
+            station_weight=weights,
             offset=self._offset(window, arclength, max(ego.velocity, target)),
             right=right,
             left=left,
@@ -205,16 +261,26 @@ class SpeedPlanner:
     def _choose_style(
         self, window: GoalWindow | None, ego: EgoOnPath, traffic: Traffic
     ) -> tuple[SpeedLimit, float]:
-        """The calmest style that meets the goal: its limit, and the speed to go to, m/s."""
+        """The calmest style that meets the goal: its limit, and the speed to go to, m/s.
+
+        Where none does within the speed limit, they are tried without it.
+        """
         config = self._config
         reach = max(_SHORTEST_GRID, _FASTEST * config.horizon * self._dt)
         if window is not None:
             reach = max(reach, window.end - ego.position + _BEYOND_GOAL)
         grid = ego.position + np.arange(0.0, reach, _GRID)
+        allowed = self._legal.at(grid)
+        free = np.full_like(allowed, _UNLIMITED)
+        ways = [allowed, free] if np.any(allowed < free) else [free]
+        if config.speed.limit_first:
+            ways = ways[:1]
+        elif traffic.pressed:
+            ways = [free]
         styles = (config.calm, config.hurried, config.utmost)
         # With a follower close behind, bends are taken quicker as well.
-        for style in styles[int(traffic.pressed) :]:
-            limit, target = self._limit(window, grid, style), traffic.cruise
+        for legal, style in product(ways, styles[int(traffic.pressed) :]):
+            limit, target = self._limit(window, grid, legal, style), traffic.cruise
             if window is None:
                 break
             met, target = self.cruise_for_goal(window, ego, traffic.cruise, limit)
@@ -222,15 +288,19 @@ class SpeedPlanner:
                 break
         return limit, target
 
-    def _limit(self, window: GoalWindow | None, grid: FloatArray, style: Style) -> SpeedLimit:
-        """What curves and a goal's velocity window allow, with the braking before them."""
+    def _limit(
+        self, window: GoalWindow | None, grid: FloatArray, legal: FloatArray, style: Style
+    ) -> SpeedLimit:
+        """What curves, a goal's velocity window and the map allow, with the braking before."""
         settings = self._config.speed
         limit = curve_speed(self._path, grid, style.lateral, self._vehicle, settings)
         if window is not None and window.velocity is not None:
             low, high = window.velocity
             cap = high - settings.velocity_margin * (high - low)
             limit = np.where(grid >= window.begin - _GRID, np.minimum(limit, cap), limit)
-        return SpeedLimit(grid, braking_envelope(limit**2, grid, style.longitudinal), style)
+        envelope = braking_envelope(limit**2, grid, style.longitudinal)
+        legal = braking_envelope(legal**2, grid, style.longitudinal)
+        return SpeedLimit(grid, envelope, style, legal)
 
     def _velocity(
         self,
@@ -248,6 +318,10 @@ class SpeedPlanner:
         ramp = ego.velocity + np.clip(target - ego.velocity, -slower * time, faster * time)
         arclength = self._stations(ego.position, ramp)
         velocity = np.minimum(ramp, np.interp(arclength, limit.arclength, limit.velocity))
+        # Who is too fast slows down; a jump of the reference would brake hard.
+        slowing = np.maximum(ego.velocity - style.longitudinal * time, 0.0)
+        legal = np.interp(arclength, limit.arclength, limit.legal)
+        velocity = np.minimum(velocity, np.maximum(legal, slowing))
         if window is None or window.velocity is None:
             return np.asarray(velocity)
         lowest, highest = window.velocity
@@ -255,6 +329,24 @@ class SpeedPlanner:
         run_up = np.maximum(window.begin - arclength, 0.0)
         at_least = np.sqrt(np.maximum(low**2 - 2.0 * style.longitudinal * run_up, 0.0))
         return np.asarray(np.maximum(velocity, at_least))
+
+    def _stopping(self, ego: EgoOnPath, velocity: FloatArray, stop: float) -> FloatArray:
+        """(N + 1,) speed, m/s: no faster than given, and standing at a place.
+
+        It brakes as calmly as the way allows: ``v^2 <= 2 a (stop - s)`` at the end of each step.
+        """
+        calm, hard = self._config.calm.longitudinal, self._config.utmost.longitudinal
+        way = max(stop - ego.position, _SHORTEST_WAY)
+        rate = float(np.clip(ego.velocity**2 / (2.0 * way), calm, hard))
+        slower, gap = np.array(velocity), stop - ego.position
+        change = rate * self._dt
+        for k in range(1, len(slower)):
+            last = slower[k - 1]
+            inside = change**2 + 8.0 * rate * gap - 4.0 * change * last
+            fastest = 0.5 * (np.sqrt(inside) - change) if inside > change**2 else 0.0
+            slower[k] = min(slower[k], fastest)
+            gap -= 0.5 * self._dt * (last + slower[k])
+        return slower
 
     def _offset(self, window: GoalWindow, arclength: FloatArray, speed: float) -> FloatArray:
         """(N + 1,) lateral offset, m: that of the goal is taken up smoothly on the way in."""
@@ -314,6 +406,6 @@ def _elapsed(limit: SpeedLimit, velocity: float) -> FloatArray:
     slower = np.maximum(np.sqrt(np.maximum(velocity**2 - energy, 0.0)), speeds)
     speed = np.where(speeds > velocity, faster, slower)
     pace = np.diff(grid, prepend=grid[0]) / np.maximum(
-        np.minimum(speed, limit.velocity), _SPEEDS[0]
+        np.minimum(speed, np.minimum(limit.velocity, limit.legal)), _SPEEDS[0]
     )
     return np.asarray(np.cumsum(pace, axis=1))

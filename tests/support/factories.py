@@ -2,10 +2,29 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
-from dosplan.scenario.synthetic import CAR_SIZE
-from dosplan.types import FloatArray, Occupancy, Route
+import numpy as np
+from shapely import Geometry, Polygon
+
+from dosplan.scenario.synthetic import CAR_SIZE, steady_tracks, straight_scenario
+from dosplan.types import (
+    COLOURS,
+    STEP_SECONDS,
+    FloatArray,
+    GoalState,
+    LightColour,
+    Occupancy,
+    RoadUserKind,
+    Route,
+    RouteStop,
+    Scenario,
+    Signals,
+    StopCause,
+)
+
+PEDESTRIAN_SIZE = (0.6, 0.6)
 
 
 def arc_route(radius: float, length: float = 200.0, spacing: float = 0.5) -> Route:
@@ -25,6 +44,61 @@ def arc_route(radius: float, length: float = 200.0, spacing: float = 0.5) -> Rou
         outer_right=-1.75 * ones,
         speed_limit=np.inf * ones,
     )
+
+
+def ruled_scenario(
+    *stops: RouteStop,
+    users: Sequence[Sequence[float]] = (),
+    kinds: Sequence[RoadUserKind] | None = None,
+    lights: Mapping[int, Sequence[LightColour]] | None = None,
+    limit: float = np.inf,
+    velocity: float = 10.0,
+    seconds: float = 10.0,
+    goals: Sequence[GoalState] | None = None,
+) -> Scenario:
+    """The straight road of ``dosplan.scenario.synthetic`` with rules on it.
+
+    Args:
+        stops: Where the ego may have to stop; see ``stop_at``.
+        users: (N, 4) road users that keep their velocity; of a car's size or a pedestrian's.
+        kinds: What they are; cars by default.
+        lights: What each traffic light shows, step by step; the last colour stays.
+        limit: Speed limit, m/s.
+        velocity: Velocity of the ego at the start, m/s; its rear axle is at x = 0.
+        seconds: Length of the drive, s.
+        goals: Goals; by default anywhere on the lane at the end.
+    """
+    last = round(seconds / STEP_SECONDS)
+    tracks = steady_tracks(users, kinds=kinds, steps=last + 1)
+    walks = np.array([kind is RoadUserKind.PEDESTRIAN for kind in tracks.kinds], dtype=np.bool_)
+    tracks = replace(tracks, size=np.where(walks[:, None], PEDESTRIAN_SIZE, tracks.size))
+    scenario = straight_scenario(tracks, velocity=velocity, final_step=last, goals=goals)
+    road = scenario.task.route
+    route = replace(road, stops=stops, speed_limit=np.full_like(road.arclength, limit))
+    shown = lights or {}
+    steps = max((len(colours) for colours in shown.values()), default=1)
+    numbers = [
+        [COLOURS.index(colours[min(k, len(colours) - 1)]) for k in range(steps)]
+        for colours in shown.values()
+    ]
+    colours = np.array(numbers, dtype=np.int64).reshape(-1, steps)
+    signals = Signals(
+        ids=np.array(list(shown), dtype=np.int64),
+        colours=colours,
+        since=np.tile(np.arange(steps) * STEP_SECONDS, (len(colours), 1)).astype(np.float64),
+    )
+    return replace(scenario, task=replace(scenario.task, route=route), signals=signals)
+
+
+def stop_at(
+    cause: StopCause,
+    x: float,
+    end: float,
+    lights: tuple[int, ...] = (),
+    conflict: Geometry | None = None,
+) -> RouteStop:
+    """A stop of the straight road, whose line is at ``x`` and which ends at ``end``, m."""
+    return RouteStop(cause, x + 20.0, end + 20.0, lights, conflict or Polygon())
 
 
 def occupancy_at(centres: FloatArray, horizon: int, semi_axis: float = 0.0) -> Occupancy:

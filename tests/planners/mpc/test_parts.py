@@ -21,7 +21,13 @@ from dosplan_mpc.obstacles import (
 from dosplan_mpc.reference import PATH_LEFT, EgoOnPath, reference_path
 from dosplan_mpc.sampler import Sampler
 from dosplan_mpc.shape import disc_offsets
-from dosplan_mpc.speed_profile import SpeedLimit, SpeedPlanner, SpeedProfile, curve_speed
+from dosplan_mpc.speed_profile import (
+    LegalSpeed,
+    SpeedLimit,
+    SpeedPlanner,
+    SpeedProfile,
+    curve_speed,
+)
 from dosplan_mpc.stage import StageParameters, stage_size, unpack_stage
 from dosplan_mpc.traffic import Lane, Traffic
 from hypothesis import given, settings
@@ -59,8 +65,12 @@ def at(position: float, velocity: float, step: int = 0) -> EgoOnPath:
     return EgoOnPath(step, position - VEHICLE.rear_to_centre, 0.0, position, velocity)
 
 
-def speed_planner(path: EvenPath, *windows: GoalWindow) -> SpeedPlanner:
-    return SpeedPlanner(CONFIG, VEHICLE, path, windows, DT)
+def speed_planner(
+    path: EvenPath, *windows: GoalWindow, limit: float = np.inf, config: MpcConfig = CONFIG
+) -> SpeedPlanner:
+    """With a speed limit all along."""
+    legal = LegalSpeed(np.zeros(1), np.full(1, min(limit, 100.0)))
+    return SpeedPlanner(config, VEHICLE, path, windows, legal, DT)
 
 
 def free_profile(path: EvenPath) -> SpeedProfile:
@@ -299,7 +309,7 @@ def test_cruise_meets_the_window(
     task = goal_task(GoalState(first, last, box(begin, -1.0, begin + 20.0, 1.0)))
     (window,) = goals_of(task, path_of(task.route))
     grid = 20.0 + np.arange(0.0, 120.0, 1.0)
-    limit = SpeedLimit(grid, np.full_like(grid, 40.0), CONFIG.calm)
+    limit = SpeedLimit(grid, np.full_like(grid, 40.0), CONFIG.calm, np.full_like(grid, 100.0))
     planner = speed_planner(path_of(task.route), window)
     met, speed = planner.cruise_for_goal(window, at(20.0, 10.0), cruise, limit)
     assert met

@@ -9,6 +9,7 @@ from typing import Final
 
 from dosplan.explain.collision import CollisionFacts, collision_facts
 from dosplan.explain.goal import GoalFacts, goal_facts
+from dosplan.explain.lights import LightFacts, light_facts
 from dosplan.explain.margins import Margins, margins
 from dosplan.explain.planning import PlanningFacts, planning_facts
 from dosplan.explain.road import RoadFacts, road_facts
@@ -35,6 +36,7 @@ class Explanation:
         collision: The collision.
         out_of_bounds: Where the ego left the road, also before a collision.
         goals: How each alternative goal was missed.
+        lights: The traffic lights that the ego waited for, and those that it ran.
         margins: What was left in a success.
         planning: The planner's last cycles before that step.
         error: What went wrong in a planner failure, or why the scenario is unusable.
@@ -52,6 +54,7 @@ class Explanation:
     collision: CollisionFacts | None = None
     out_of_bounds: RoadFacts | None = None
     goals: tuple[GoalFacts, ...] = ()
+    lights: LightFacts | None = None
     margins: Margins | None = None
     planning: PlanningFacts | None = None
     error: str | None = None
@@ -67,7 +70,8 @@ class Explanation:
         body = [] if self.error is None else [self.error]
         if self.traceback is not None:
             body.append(f"the traceback is in {self.traceback}")
-        for part in (self.collision, self.out_of_bounds, *self.goals, self.margins, self.planning):
+        parts = (self.collision, self.out_of_bounds, self.lights, *self.goals, self.margins)
+        for part in (*parts, self.planning):
             body += [] if part is None else part.lines()
         if self.min_time_to_collision is not None:
             body.append(f"smallest time to collision: {self.min_time_to_collision:.2f} s")
@@ -131,6 +135,7 @@ def explain_drive(drive: Drive, traceback: str | None = None) -> Explanation:
         collision=None if contact is None else collision_facts(drive, contact),
         out_of_bounds=None if off_road is None else road_facts(drive, off_road),
         goals=goal_facts(drive) if row.outcome is Outcome.GOAL_MISSED else (),
+        lights=light_facts(drive),
         margins=margins(drive, reached)
         if row.outcome is Outcome.SUCCESS and reached is not None
         else None,

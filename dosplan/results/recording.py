@@ -204,17 +204,6 @@ class Recording:
         """
         return scenario.tracks if self.tracks is None else self.tracks
 
-    def signals_in(self, scenario: Scenario) -> Signals:
-        """The traffic lights as they were.
-
-        Args:
-            scenario: What was driven.
-
-        Returns:
-            What they showed, aligned with the scenario's steps.
-        """
-        return scenario.signals if self.signals is None else self.signals
-
     @classmethod
     def of(cls, scenario: Scenario, episode: Episode) -> Self:
         """Takes from an episode what its file keeps.

@@ -20,15 +20,40 @@ from dosplan.types import (
 
 
 @dataclass(frozen=True)
-class ScoredPart:
-    """The part of an episode that is scored: from its start to contact, goal or end.
+class DrivenPart:
+    """Where an ego drove, and what the lights showed.
 
     Attributes:
         scenario: The scenario.
+        start_step: Step of the first state.
+        ego: (K + 1, 4) x, y, heading, velocity of the ego's centre.
+        signals: The traffic lights as they were, at the steps of the scenario.
+    """
+
+    scenario: Scenario
+    start_step: int
+    ego: FloatArray
+    signals: Signals
+
+    @property
+    def drove(self) -> bool:
+        """Whether a step was driven."""
+        return len(self.ego) > 1
+
+    @cached_property
+    def lanes(self) -> DrivenLanes:
+        """On which lanelets the ego drives."""
+        return lanes_of(self.ego, self.scenario.road_map)
+
+
+@dataclass(frozen=True)
+class ScoredPart(DrivenPart):
+    """The part of an episode that is scored: from its start to contact, goal or end.
+
+    Attributes:
         episode: The whole episode.
         tracks: The road users as they were driven.
         states: (K + 1, 5) ego states of the part.
-        ego: (K + 1, 4) x, y, heading, velocity of the ego's centre.
         cycles: Indices of the planning cycles that a step of the part follows.
         outcome: Outcome of the episode.
         touched: Rows of the road users that the ego touches at the end.
@@ -38,11 +63,9 @@ class ScoredPart:
         needed_progress: What is expected of that, m (``dosplan.scoring.progress``).
     """
 
-    scenario: Scenario
     episode: DrivenEpisode
     tracks: Tracks
     states: FloatArray
-    ego: FloatArray
     cycles: IntArray
     outcome: Outcome
     touched: tuple[int, ...]
@@ -52,25 +75,10 @@ class ScoredPart:
     needed_progress: float
 
     @property
-    def drove(self) -> bool:
-        """Whether a step was driven."""
-        return len(self.states) > 1
-
-    @property
-    def signals(self) -> Signals:
-        """The traffic lights as they were in the episode, at the steps of the scenario."""
-        return signals_of(self.scenario, self.episode)
-
-    @property
     def reports(self) -> list[SolveReport]:
         """The planner's reports of ``cycles``."""
         reports = self.episode.reports
         return [reports[cycle] for cycle in self.cycles]
-
-    @cached_property
-    def lanes(self) -> DrivenLanes:
-        """On which lanelets the ego drives."""
-        return lanes_of(self.ego, self.scenario.road_map)
 
 
 def signals_of(scenario: Scenario, episode: DrivenEpisode) -> Signals:

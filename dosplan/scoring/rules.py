@@ -20,7 +20,7 @@ import shapely
 
 from dosplan.scenario.route.stops import turn_by_shape
 from dosplan.scoring.lanes import DrivenLanes
-from dosplan.scoring.part import ScoredPart
+from dosplan.scoring.part import DrivenPart, ScoredPart
 from dosplan.types import (
     USER_HEADING,
     USER_VELOCITY,
@@ -64,8 +64,37 @@ class _Crossing:
     step: int
 
 
-def red_lights(part: ScoredPart) -> int | None:
-    """Counts the red lights that the ego runs.
+@dataclass(frozen=True)
+class RedLightRun:
+    """A red light that the ego runs.
+
+    Attributes:
+        step: The last step of the scenario at which its front is before the line.
+        lanelet: Id of the lanelet at whose end the lights are.
+        lights: Ids of the lights that forbid every way which it may take there.
+    """
+
+    step: int
+    lanelet: int
+    lights: tuple[int, ...]
+
+
+def red_lights(part: DrivenPart) -> int | None:
+    """Counts the red lights that the ego runs, see ``red_light_runs``.
+
+    Args:
+        part: What is scored.
+
+    Returns:
+        The number; None where the map has no traffic lights, or no step was driven.
+    """
+    if not part.scenario.road_map.lights or not part.drove:
+        return None
+    return len(red_light_runs(part))
+
+
+def red_light_runs(part: DrivenPart) -> list[RedLightRun]:
+    """Finds the red lights that the ego runs.
 
     The front passes the stop line of a lanelet, or the lanelet's end where there is no line, in
     driving direction, between two steps at both of which the lights forbid it: red, or red with
@@ -78,23 +107,29 @@ def red_lights(part: ScoredPart) -> int | None:
     section 37: red asks to stop before the intersection).
 
     Args:
-        part: What is scored.
+        part: What was driven.
 
     Returns:
-        The number; None where the map has no traffic lights, or no step was driven.
+        One for each time.
     """
-    if not part.scenario.road_map.lights or not part.drove:
-        return None
+    if not part.drove:
+        return []
     front = _front(part)
     at_lights = (lanelet for lanelet in part.lanes.lanelets if lanelet.lights)
     by_step: dict[int, list[_Crossing]] = {}
     for crossing in _crossings(front, at_lights):
         by_step.setdefault(crossing.step, []).append(crossing)
-    return sum(_runs_red(part, front, crossings) for crossings in by_step.values())
+    return [
+        RedLightRun(part.start_step + step, crossings[0].lanelet.id, lights)
+        for step, crossings in sorted(by_step.items())
+        if (lights := _run_lights(part, front, crossings))
+    ]
 
 
-def _runs_red(part: ScoredPart, front: FloatArray, crossings: Sequence[_Crossing]) -> bool:
-    """Whether the ego runs a red light where it passes the lines of lanelets at once.
+def _run_lights(
+    part: DrivenPart, front: FloatArray, crossings: Sequence[_Crossing]
+) -> tuple[int, ...]:
+    """Ids of the lights that the ego runs where it passes the lines of lanelets at once.
 
     These are several where lanelets overlap; those whose successor it enters are the ones on which
     it is.
@@ -103,8 +138,9 @@ def _runs_red(part: ScoredPart, front: FloatArray, crossings: Sequence[_Crossing
     ways = [_ways(part.lanes, road_map, crossing) for crossing in crossings]
     entered = [way for way, known in ways if known]
     taken = entered or [way for way, _ in ways]
-    if not all(_forbidden(part, lights, crossings[0].step) for way in taken for lights in way):
-        return False
+    lights = tuple(dict.fromkeys(x for way in taken for holding in way for x in holding))
+    if not all(_forbidden(part, x, crossings[0].step) for way in taken for x in way):
+        return ()
     first = crossings[0]
     entry = next(
         (x.step for x in _crossings(front, [first.lanelet], ends=True) if x.step >= first.step),
@@ -113,10 +149,10 @@ def _runs_red(part: ScoredPart, front: FloatArray, crossings: Sequence[_Crossing
     last = len(front) - 1 if entry is None else entry
     stood = bool(np.any(part.ego[first.step + 1 : last + 1, USER_VELOCITY] < STANDING))
     if not stood:
-        return True
-    return entry is not None and all(
-        _forbidden(part, lights, entry) for way in taken for lights in way
-    )
+        return lights
+    if entry is None or not all(_forbidden(part, x, entry) for way in taken for x in way):
+        return ()
+    return lights
 
 
 def _ways(
@@ -147,9 +183,9 @@ def _ways(
 _ALONG: Final = np.cos(np.deg2rad(45.0))
 
 
-def _forbidden(part: ScoredPart, lights: Iterable[int], step: int) -> bool:
+def _forbidden(part: DrivenPart, lights: Iterable[int], step: int) -> bool:
     """Whether lights forbid at a state of the part and at the next."""
-    first, ids = part.episode.start_step + step, tuple(lights)
+    first, ids = part.start_step + step, tuple(lights)
     return all(part.signals.at(k).shown(ids).forbids for k in (first, first + 1))
 
 
@@ -327,7 +363,7 @@ def _solid_crossings(part: ScoredPart) -> Iterator[int]:
                 yield from steps[crossed & ~lanes.inside[steps + 1, index]].tolist()
 
 
-def _front(part: ScoredPart) -> FloatArray:
+def _front(part: DrivenPart) -> FloatArray:
     """(K + 1, 2) middle of the ego's front edge, m."""
     heading = part.ego[:, USER_HEADING]
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)

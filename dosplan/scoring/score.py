@@ -151,7 +151,8 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         goal_step = None
 
     progress = _progress(task.route, ego)
-    needed = needed_progress(scenario, tracks, signals_of(scenario, episode))
+    signals = signals_of(scenario, episode)
+    needed = needed_progress(scenario, tracks, signals)
     off_road = np.flatnonzero(outside(ego[:, :3], vehicle.size, scenario.road_map))
     out_of_bounds_step = start + int(off_road[0]) if off_road.size else None
 
@@ -172,10 +173,12 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
     cycles = np.flatnonzero(episode.cycle_steps < start + driven)
     part = ScoredPart(
         scenario=scenario,
+        start_step=start,
+        ego=ego,
+        signals=signals,
         episode=episode,
         tracks=tracks,
         states=states,
-        ego=ego,
         cycles=cycles,
         outcome=outcome,
         touched=tuple(contact.user for contact in touched),

@@ -238,7 +238,7 @@ def _encode_lights(
     sides: dict[str, list[int]] = {}
     for side, drive in there:
         found = []
-        for lamp in lamps(scene.road_map, drive.recording.signals_in(scene)):
+        for lamp in lamps(scene.road_map, drive.signals):
             if not shapely.contains_xy(box, *lamp.place):
                 continue
             shown = np.array([lamp.at(step) for step in range(first, last + 1)])

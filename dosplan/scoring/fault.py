@@ -32,6 +32,9 @@ STOPPED_VELOCITY: Final = 0.05
 BEHIND_ANGLE: Final = np.deg2rad(150.0)
 """Angle to the ego's heading, at its rear axle, beyond which a road user is behind it, rad."""
 
+STRUCK: Final = (CollisionClass.ACTIVE_REAR, CollisionClass.STOPPED_EGO)
+"""Classes in which others run into the ego; it is to blame for a cut-in alone (``imposed``)."""
+
 
 def classify(contact: Contact, tracks: Tracks, vehicle: VehicleParameters) -> CollisionClass:
     """Sorts a collision into nuPlan's classes.
@@ -69,7 +72,9 @@ def at_fault(
     """Whether the ego is at fault in a collision.
 
     It is when it hits a standing road user, or hits one with its front bumper, and in a lateral
-    collision while it is in several lanes or off the drivable area.
+    collision while it is in several lanes or off the drivable area. That it is also to blame
+    for what its entry into somebody's way leads to, where road users react, is judged by
+    ``imposed.cut_in_demand``.
 
     Args:
         contact: The moment at which ego and road user touch.

@@ -22,6 +22,7 @@ from dosplan.scoring.comfort import (
     MIN_ACCELERATION,
 )
 from dosplan.scoring.commonroad_cost import COST_FUNCTIONS, commonroad_cost
+from dosplan.scoring.imposed import imposed_braking
 from dosplan.scoring.part import ScoredPart
 from dosplan.types import FloatArray, Measure, Outcome, Score, SolveReport, SolveStatus
 
@@ -229,6 +230,13 @@ def _leaves_lanelets(part: ScoredPart) -> bool | None:
     return bool(outside_lanelets(part.ego[:, :3], size, scenario.road_map).any())
 
 
+def _imposed_braking(part: ScoredPart) -> float | None:
+    """How hard others had to brake for the ego; None where that cannot be told."""
+    start = part.episode.start_step
+    last = min(start + len(part.states), part.tracks.steps) - 1
+    return imposed_braking(part.scenario, part.tracks, start, last)
+
+
 def _of_cycles(
     figure: Callable[[list[SolveReport]], float | int],
 ) -> Callable[[ScoredPart], float | int | None]:
@@ -299,7 +307,8 @@ METRICS: tuple[Metric, ...] = (
     _share(
         "at_fault_collision",
         "At-fault collision",
-        "a collision that the ego is to blame for, by nuPlan's classes",
+        "a collision that the ego is to blame for, by nuPlan's classes, or by a cut-in before "
+        "somebody who reacts",
         lambda row: row.at_fault,
         Better.LOWER,
         Group.OUTCOME,
@@ -550,6 +559,19 @@ METRICS: tuple[Metric, ...] = (
         group=Group.RIDE,
         better=Better.HIGHER,
         read=lambda row: row.min_time_to_collision,
+    ),
+    Metric(
+        name="imposed_braking",
+        title="Imposed braking",
+        short="Imposed braking",
+        unit="m/s²",
+        definition="hardest braking that the ego's presence asks of a vehicle: how much faster it "
+        "loses speed over 0.5 s than its recording does over the same way; 0 where nobody is off "
+        "the recording; traffic that keeps to the recording unless the ego is in the way",
+        aggregate=Aggregate.MEAN,
+        group=Group.RIDE,
+        better=Better.LOWER,
+        measure=_imposed_braking,
     ),
     Metric(
         name="cycle_ms_p50",

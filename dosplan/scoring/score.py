@@ -34,7 +34,9 @@ Definitions
   CommonRoad's checker counts every lanelet as road, an open end as an edge, and the gaps.
   `off_commonroad_road` counts the episodes that leave the road so defined, but for the gaps, which
   are closed there too.
-- **Fault** of a collision: nuPlan's classes. Report collision rate and at-fault collision rate.
+- **Fault** of a collision: nuPlan's classes; and where road users react, the ego is also to blame
+  for being struck from behind if its entry into the follower's way asked more than 5 m/s2 of the
+  follower. Report collision rate and at-fault collision rate.
 - **Velocity**: mean ego speed over the steps driven, m/s, averaged over scenarios. Progress,
   comfort, time-to-collision, cycle time p50/p99 beside it.
 - **CR_t** share of road users whose true centre at horizon t lies inside the set; **OSA_t** mean
@@ -68,9 +70,10 @@ import numpy as np
 from dosplan.geometry import ReferencePath, wrap_angle
 from dosplan.geometry.goal import goal_reached
 from dosplan.scoring.bounds import outside
-from dosplan.scoring.collision import first_contacts, overlap_window
+from dosplan.scoring.collision import Contact, first_contacts, overlap_window
 from dosplan.scoring.comfort import comfort
-from dosplan.scoring.fault import BEHIND_ANGLE, STOPPED_VELOCITY, at_fault, classify
+from dosplan.scoring.fault import BEHIND_ANGLE, STOPPED_VELOCITY, STRUCK, at_fault, classify
+from dosplan.scoring.imposed import CUT_IN_BRAKING, cut_in_demand
 from dosplan.scoring.metrics import failed_measures, measured, measured_kinds
 from dosplan.scoring.part import ScoredPart, signals_of
 from dosplan.scoring.progress import is_time_alone, makes_progress, needed_progress
@@ -135,6 +138,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
     classes = [classify(contact, tracks, vehicle) for contact in touched]
     faults = [
         at_fault(contact, kind, scenario.road_map, vehicle)
+        or (kind in STRUCK and _cuts_in(contact, scenario, tracks, ego, start))
         for contact, kind in zip(touched, classes, strict=True)
     ]
     collision_class: CollisionClass | None = None
@@ -285,6 +289,16 @@ def min_time_to_collision(
     )
     smallest = float(times.min(initial=np.inf))
     return smallest if smallest < COLLISION_HORIZON else None
+
+
+def _cuts_in(
+    contact: Contact, scenario: Scenario, tracks: Tracks, ego: FloatArray, start: int
+) -> bool:
+    """Whether a follower that reacts could not help running into an ego that came in its way."""
+    if tracks is scenario.tracks:  # Nobody reacts: a recording runs into the ego in any case.
+        return False
+    demand = cut_in_demand(contact, tracks, ego, scenario.task.vehicle, start, scenario.dt)
+    return demand is not None and demand > CUT_IN_BRAKING
 
 
 def _not_driven(

@@ -28,6 +28,7 @@ import shapely
 from dosplan_baseline.brake import BrakePlanner
 from dosplan_baseline.cruise import CruisePlanner
 from dosplan_reactive.paths import VEHICLES
+from dosplan_reactive.settings import ReactiveSettings
 from dosplan_reactive.traffic import ReactiveTraffic
 from dosplan_simple.predictors import NonePredictor
 
@@ -43,6 +44,7 @@ from dosplan.types import (
     USER_VELOCITY,
     Arm,
     CollisionClass,
+    Episode,
     FloatArray,
     RoadUserKind,
     Scenario,
@@ -80,7 +82,7 @@ class Figures:
     egos: int = 0
     off: dict[int, list[float]] = field(default_factory=lambda: {30: [], 100: []})
     overlaps: dict[str, int] = field(default_factory=dict)
-    rear_ends: dict[str, int] = field(default_factory=dict)
+    rear_ends: dict[str, dict[str, int]] = field(default_factory=dict)
     drives: dict[str, int] = field(default_factory=dict)
     seconds: list[float] = field(default_factory=list)
     named: list[str] = field(default_factory=list)
@@ -242,12 +244,35 @@ def drive(scenario: Scenario, name: str, planner: Planner, future: int, figures:
     if hit:
         who = int(np.flatnonzero(episode.tracks.ids == row.collision_with)[0])
         hit = episode.tracks.kinds[who] in VEHICLES
-    figures.rear_ends[name] = figures.rear_ends.get(name, 0) + hit
     if hit:
+        could = avoidable(scenario, episode, who)
+        counts = figures.rear_ends.setdefault(name, {"all": 0, "avoidable": 0})
+        counts["all"] += 1
+        counts["avoidable"] += could
         figures.named.append(
-            f"{scenario.id} {name}: {row.collision_with} hits the ego "
-            f"({row.collision_class}) at {row.collision_step}"
+            f"{scenario.id} {name}: {row.collision_with} hits the ego ({row.collision_class}) at "
+            f"{row.collision_step}, {'avoidable' if could else 'not avoidable'}"
         )
+
+
+def avoidable(scenario: Scenario, episode: Episode, who: int) -> bool:
+    """Whether a driver who reacts after 0.5 s and brakes at 8 m/s2 would have stayed behind.
+
+    From the first step at which both are there, on a straight line.
+    """
+    chosen = ReactiveSettings()
+    tracks, vehicle, start = episode.tracks, scenario.task.vehicle, episode.start_step
+    first = max(start, int(np.argmax(tracks.valid[who])))
+    x, y, heading, speed = tracks.states[who, first]
+    states = episode.states[first - start :]
+    direction = np.array([np.cos(heading), np.sin(heading)])
+    ahead = (vehicle.centre(states) - [x, y]) @ direction
+    gap = ahead - 0.5 * (tracks.size[who, 0] + vehicle.length)
+    time = scenario.dt * np.arange(len(states))
+    braked = np.clip(time - chosen.reaction_time, 0.0, speed / chosen.full_braking)
+    way = speed * np.minimum(time, chosen.reaction_time)
+    way += speed * braked - 0.5 * chosen.full_braking * braked**2
+    return bool((gap > way).all())
 
 
 def overlapping(tracks: Tracks) -> set[tuple[int, int]]:

@@ -510,6 +510,7 @@ def test_telemetry_reaches_the_row_over_the_drive_alone() -> None:
         "max_road_slack": pytest.approx(0.024),
         "solver_failures": 1,
         "off_commonroad_road": False,
+        "imposed_braking": None,
     }
     assert {name: row.measures[name] for name in told} == told
     assert row.fallback_cycles == 1

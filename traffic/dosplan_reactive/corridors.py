@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from dosplan.types import BoolArray, FloatArray, IntArray
+from dosplan.types import USER_HEADING, BoolArray, FloatArray, IntArray
 from dosplan_reactive.paths import SPACING, Paths
 
 _SIGHT: Final = 130  # Points of a path that are looked at for the ego.
@@ -93,14 +93,65 @@ def ego_beside(
     """
     start = np.maximum(np.floor(way / SPACING).astype(np.int64) - 2, 0)
     index = np.minimum(start[:, None] + np.arange(_SIGHT), paths.count[rows, None] - 1)
-    return beside(
-        paths.points[rows[:, None], index],
-        paths.heading[rows[:, None], index],
+    points, heading = paths.points[rows[:, None], index], paths.heading[rows[:, None], index]
+    poses = np.broadcast_to(pose, (len(rows), 3))
+    sizes = np.broadcast_to(size, (len(rows), 2))
+    found = beside(
+        points,
+        heading,
         SPACING * start,
-        np.broadcast_to(pose, (len(rows), 3)),
-        np.broadcast_to(size, (len(rows), 2)),
+        poses,
+        sizes,
         paths.half_width(rows[:, None], index, side),
     )
+    # In bends the rectangles themselves are tried, point by point.
+    own = paths.tracks.size[rows] + np.array([0.0, 2.0 * side])
+    reach = 0.5 * (np.hypot(own[:, 0], own[:, 1]) + np.hypot(sizes[:, 0], sizes[:, 1]))
+    offset = points - poses[:, None, :2]
+    near = offset[..., 0] ** 2 + offset[..., 1] ** 2 < reach[:, None] ** 2
+    near &= SPACING * (start[:, None] + np.arange(_SIGHT)) > way[:, None]
+    row, point = np.nonzero(near)
+    if not len(row):
+        return found
+    there = np.column_stack([points[row, point], heading[row, point]])
+    hits = overlap(there, own[row], poses[row], sizes[row])
+    row, point = row[hits], point[hits]
+    inside, low, high = np.array(found.inside), np.array(found.low), np.array(found.high)
+    fresh = ~inside[row]  # What the projection has found it knows more exactly.
+    row, point = row[fresh], point[fresh]
+    front = SPACING * (start[row] + point - 1) + 0.5 * own[row, 0]
+    low[row], high[row] = np.inf, -np.inf
+    np.minimum.at(low, row, front)
+    np.maximum.at(high, row, front)
+    inside[row] = True
+    return replace(found, inside=inside, low=low, high=np.maximum(high, found.high))
+
+
+def overlap(
+    one: FloatArray, one_size: FloatArray, other: FloatArray, other_size: FloatArray
+) -> BoolArray:
+    """Whether rectangles overlap (separating-axis test).
+
+    Args:
+        one: (R, 3 or more) centres, m, and headings, rad.
+        one_size: (R, 2) lengths and widths, m.
+        other: (R, 3 or more) the same of the others.
+        other_size: (R, 2) the same.
+
+    Returns:
+        (R,) whether the two overlap.
+    """
+    between = other[:, :2] - one[:, :2]
+    meets = np.ones(len(one), dtype=np.bool_)
+    turn = other[:, USER_HEADING] - one[:, USER_HEADING]
+    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    for pose, size, against in ((one, one_size, other_size), (other, other_size, one_size)):
+        c, s = np.cos(pose[:, USER_HEADING]), np.sin(pose[:, USER_HEADING])
+        along = np.abs(between[:, 0] * c + between[:, 1] * s)
+        across = np.abs(between[:, 1] * c - between[:, 0] * s)
+        meets &= along < 0.5 * (size[:, 0] + against[:, 0] * cos + against[:, 1] * sin)
+        meets &= across < 0.5 * (size[:, 1] + against[:, 0] * sin + against[:, 1] * cos)
+    return meets
 
 
 class Meetings:

@@ -26,7 +26,7 @@ from dosplan.types import (
     Scenario,
     Tracks,
 )
-from dosplan_reactive.corridors import Beside, Meetings, ego_beside
+from dosplan_reactive.corridors import Beside, Meetings, ego_beside, overlap
 from dosplan_reactive.paths import SPACING, Paths
 from dosplan_reactive.settings import Manner, ReactiveSettings
 
@@ -327,6 +327,7 @@ class ReactiveTraffic(Traffic):
         acceleration = np.minimum(limit, np.where(on_time & (pace == 1.0), np.inf, most))
         acceleration = np.maximum(acceleration, -chosen.full_braking)
         free = ~drives | np.isinf(acceleration)
+        brakes = drives & (acceleration < 0.0)
         acceleration = np.where(free, 0.0, acceleration)
         reached = np.maximum(speed + acceleration * dt, 0.0)
         # The way until it stands, where it stops within the step.
@@ -346,7 +347,10 @@ class ReactiveTraffic(Traffic):
         self._gone[here[gone]] = True
         stay = here[~gone]
         as_recorded = np.abs(paths.at(stay, self._clock[stay])[:, USER_VELOCITY]) * pace[~gone]
-        self._speed[stay] = np.where(free[~gone], as_recorded, reached[~gone])
+        # Recorded velocities may exceed the way that is driven: they make nobody faster.
+        slower = np.minimum(as_recorded, reached[~gone])
+        kept = np.where(free[~gone], np.where(brakes[~gone], slower, as_recorded), reached[~gone])
+        self._speed[stay] = kept
 
     def _keep_apart(self, step: int, here: IntArray, before: FloatArray, clock: FloatArray) -> None:
         """Holds who would overlap another that it did not overlap before."""
@@ -362,9 +366,9 @@ class ReactiveTraffic(Traffic):
             near = np.hypot(*(pose[one, :2] - pose[other, :2]).T) < radius[one] + radius[other]
             near &= off[one] | off[other]
             a, b = one[near], other[near]
-            hit = _overlap(pose[a], size[a], pose[b], size[b])
+            hit = overlap(pose[a], size[a], pose[b], size[b])
             a, b = a[hit], b[hit]
-            already = _overlap(before[a], size[a], before[b], size[b])
+            already = overlap(before[a], size[a], before[b], size[b])
             a, b = a[~already], b[~already]
             if not len(a):
                 return
@@ -542,28 +546,11 @@ def _clears(
     return np.where(np.abs(sideways) > 0.1, np.maximum(time, 0.0), np.inf)
 
 
-def _overlap(
-    one: FloatArray, one_size: FloatArray, other: FloatArray, other_size: FloatArray
-) -> BoolArray:
-    """Whether rectangles overlap (separating-axis test); poses (R, 3 or more), sizes (R, 2)."""
-    between = other[:, :2] - one[:, :2]
-    meets = np.ones(len(one), dtype=np.bool_)
-    turn = other[:, USER_HEADING] - one[:, USER_HEADING]
-    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    for pose, size, against in ((one, one_size, other_size), (other, other_size, one_size)):
-        c, s = np.cos(pose[:, USER_HEADING]), np.sin(pose[:, USER_HEADING])
-        along = np.abs(between[:, 0] * c + between[:, 1] * s)
-        across = np.abs(between[:, 1] * c - between[:, 0] * s)
-        meets &= along < 0.5 * (size[:, 0] + against[:, 0] * cos + against[:, 1] * sin)
-        meets &= across < 0.5 * (size[:, 1] + against[:, 0] * sin + against[:, 1] * cos)
-    return meets
-
-
 def _is_free(new: FloatArray, size: FloatArray, around: FloatArray, sizes: FloatArray) -> bool:
     """Whether somebody may come onto the scene: nobody is there, and nobody need brake hard."""
     n = len(around)
     own, own_size = np.broadcast_to(new, (n, 4)), np.broadcast_to(size + 0.4, (n, 2))
-    if _overlap(own, own_size, around, sizes).any():
+    if overlap(own, own_size, around, sizes).any():
         return False
     for one, one_size, other, other_size in (
         (own, np.broadcast_to(size, (n, 2)), around, sizes),

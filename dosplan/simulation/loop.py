@@ -208,7 +208,7 @@ def _drive(
             return EpisodeEnd.TIME_OVER
         delay, left = latency if log else 0, task.final_step - world.now
         if world.now == look and delay < left:
-            cycle = _cycle(world, coming[:delay], planner, predictor, arm)
+            cycle = _cycle(world, coming[:delay], latency, planner, predictor, arm)
             busy = math.ceil(cycle.seconds / scenario.dt) if loop.real_time and log else 0
             look += period * max(math.ceil(busy / period), 1)
             until = coming[: delay + busy]
@@ -246,6 +246,7 @@ def _check_lasting(until: Sequence[FloatArray], cycle: _Cycle, busy: int, steps:
 def _cycle(
     world: World,
     on_their_way: Sequence[FloatArray],
+    latency: int,
     planner: Planner,
     predictor: Predictor,
     arm: Arm,
@@ -255,6 +256,8 @@ def _cycle(
     Args:
         world: The world now.
         on_their_way: Inputs that act before the plan does.
+        latency: Steps of the loop's latency; the sets reach less far ahead by it in every cycle,
+            that of the first plan, which acts at once, included.
         planner: The planner.
         predictor: The predictor.
         arm: The arm.
@@ -267,9 +270,9 @@ def _cycle(
         occupancy = predictor.predict(seen)
     if arm is Arm.WITHOUT_DOS:
         occupancy = occupancy.without_sets()
+    occupancy = occupancy.later(delay).first_steps(max(predictor.horizon - latency, 0))
     known = seen
     if delay:
-        occupancy = occupancy.later(delay)
         known = _when_it_acts(seen, world.foresee(on_their_way))
     with _named_failure("planner", planner):
         plan = planner.plan(known, occupancy)

@@ -210,6 +210,8 @@ class Occupancy:
         Returns:
             Every array without its first columns.
         """
+        if steps == 0:
+            return self
         parts = ("centre", "semi_axes", "angle", "valid", "heading")
         return replace(self, **{name: getattr(self, name)[:, steps:] for name in parts})
 

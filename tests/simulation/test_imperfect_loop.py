@@ -155,6 +155,7 @@ def test_what_is_seen_is_old_and_what_is_predicted_is_for_the_steps_after_acting
     planner = CountingPlanner()
     drive(LATE, planner=planner)
     first, second = planner.shown[:2]
+    assert {sets.horizon for _, sets in planner.shown} == {37}
     assert (first[0].step, first[0].seen_step, first[0].delay) == (40, 40, 0)
     observation, occupancy = second
     assert (observation.step, observation.seen_step, observation.delay) == (44, 41, 3)

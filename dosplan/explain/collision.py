@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from dosplan.evaluation.metrics import displacement
+from dosplan.explain.sight import SightFacts, sight_facts
 from dosplan.geometry import mahalanobis, to_body, wrap_angle
 from dosplan.results.drive import Drive
 from dosplan.results.recording import NEARBY_METRES
@@ -95,6 +96,7 @@ class CollisionFacts:
         held: Lead time, s, up to which every set held its centre; None where not even the
             latest did, or nothing was predicted.
         failed: Shortest lead time, s, at which its centre was outside; None where never.
+        sight: How late the ego saw it; None where it saw everybody at once.
     """
 
     step: int
@@ -115,6 +117,7 @@ class CollisionFacts:
     sets: tuple[SetCheck, ...]
     held: float | None
     failed: float | None
+    sight: SightFacts | None = None
 
     def lines(self) -> list[str]:
         """The collision in plain words."""
@@ -128,6 +131,7 @@ class CollisionFacts:
             f"the {self.kind} at {self.road_user_speed:.1f}, {self.course}",
             f"{self.before:.1f} s before, the {self.kind} was {along} and {across} of the ego; "
             f"it had been on the scene for {self.seen_for:.1f} s of the drive",
+            *([] if self.sight is None else self.sight.lines()),
             *self._set_lines(),
         ]
 
@@ -203,6 +207,7 @@ def collision_facts(drive: Drive, contact: Contact) -> CollisionFacts:
         sets=sets,
         held=held[-1] if held else None,
         failed=next((check.lead for check in sets if not check.inside), None),
+        sight=sight_facts(drive, contact.user, step, step - seen),
     )
 
 

@@ -30,6 +30,7 @@ from dosplan.scenario.synthetic import (
 from dosplan.scoring.metrics import METRICS, SLACK_SEEN, Group, measured_kinds
 from dosplan.scoring.score import failed_score, score
 from dosplan.simulation.loop import run_episode
+from dosplan.simulation.settings import IDEAL, LoopSettings, SensingSettings
 from dosplan.simulation.traffic import Replay, Traffic
 from dosplan.system.files import FileError
 from dosplan.types import (
@@ -90,9 +91,10 @@ def explained(
     planner: Planner | None = None,
     predictor: Predictor | None = None,
     arm: Arm = Arm.WITH_DOS,
+    loop: LoopSettings = IDEAL,
 ) -> Explanation:
     """Drives, scores, records and explains."""
-    episode = run_episode(scenario, planner or Coast(), predictor or Discs(1.0), arm)
+    episode = run_episode(scenario, planner or Coast(), predictor or Discs(1.0), arm, loop)
     drive = Drive.of(scenario, episode)
     drive.recording.save(tmp_path / "episode.npz")
     back = Recording.load(tmp_path / "episode.npz")
@@ -164,6 +166,38 @@ def test_a_collision_names_who_and_how(tmp_path: Path) -> None:
     assert "the ego's front struck it (active_front); the ego is to blame" in text
     assert "1.0 s in (2.0 m off, 0.7 x), 1.5 s OUT (4.5 m off, 1.5 x)" in text
     assert "held it up to 1.0 s ahead; the one predicted 1.5 s before the contact failed" in text
+
+
+def test_a_collision_tells_how_late_the_ego_saw_it(tmp_path: Path) -> None:
+    """The car's centre is 14.65 m ahead at first, then 2 t^2 closer; sensors reach 11 m."""
+    scenario = straight_scenario(braking_car(), velocity=15.0)
+    assert collision_of(explained(tmp_path, scenario)).sight is None
+    late = LoopSettings(latency=0.3)
+    sight = collision_of(explained(tmp_path, scenario, loop=late)).sight
+    assert sight is not None
+    # Contact at step 25: the last plan acts from step 24 on, made from what was seen at step 21.
+    assert sight.known
+    assert sight.error == pytest.approx(0.0, abs=0.02)
+    assert (sight.first, sight.unseen, sight.age) == pytest.approx((2.5, 0.0, 0.4))
+
+    near = LoopSettings(latency=0.3, sensing=SensingSettings(range=11.0, memory=0.0))
+    found = explained(tmp_path, scenario, loop=near)
+    sight = collision_of(found).sight
+    assert sight is not None
+    gap = 12.4 + (VEHICLE.length + CAR_SIZE[0]) / 2.0
+    first = next(k for k in range(26) if gap - 2.0 * (0.1 * k) ** 2 <= 11.0)
+    assert (sight.first, sight.unseen) == pytest.approx((2.5 - 0.1 * first, 0.1 * first))
+    text = "\n".join(found.lines())
+    assert (
+        f"the ego saw it first {2.5 - 0.1 * first:.1f} s before, {0.1 * first:.1f} s after" in text
+    )
+    assert "made from what was seen 0.4 s before, and took it to be 0.0 m off" in text
+
+    blind = LoopSettings(sensing=SensingSettings(range=1.0))
+    found = explained(tmp_path, scenario, loop=blind)
+    assert "the ego never saw it, in the 2.5 s for which it was on the scene" in "\n".join(
+        found.lines()
+    )
 
 
 def test_the_arm_without_sets_is_told_the_errors_alone(tmp_path: Path) -> None:

@@ -34,12 +34,12 @@ class CompareCommand:
             FileError: A run cannot be read, or a file cannot be written.
         """
         from dosplan.report.tables import comparison_tables
-        from dosplan.results.comparison import compare_runs
+        from dosplan.results.comparison import compare_runs, world_lines
 
         specs = [spec for spec in (options.run_a, options.run_b) if spec is not None]
         comparisons = compare_runs(specs)
         figures = {"comparisons": [comparison.content() for comparison in comparisons]}
-        parts = [comparison_tables(c) for c in comparisons]
+        parts = [*(comparison_tables(c) for c in comparisons), *world_lines(specs)]
         if options.html is not None:
             from dosplan.report.html.write import write_comparison
 

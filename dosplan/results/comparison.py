@@ -19,6 +19,7 @@ from dosplan.results.paired import Difference, mean_difference, share_difference
 from dosplan.results.rows import read_run
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Metric
+from dosplan.simulation.settings import REAL_TIME
 from dosplan.system.errors import DosplanError
 from dosplan.system.typed import plain
 from dosplan.types import Arm, Outcome, Score, place_of
@@ -171,6 +172,36 @@ def compare_runs(specs: Sequence[str]) -> list[Comparison]:
     """
     pairs = paired_sides(specs)
     return [compare_rows(a.rows, b.rows, a.name, b.name) for a, b in pairs]
+
+
+def world_lines(specs: Sequence[str]) -> list[str]:
+    """Says what compared runs do not have in common of their worlds.
+
+    Args:
+        specs: As for ``compare_runs``.
+
+    Returns:
+        A line for the traffic and for the loop where the runs differ in it, and one where a run
+        cannot be repeated; none for the arms of one run, unless it is such a run.
+
+    Raises:
+        CompareError: The sides do not match.
+        FileError: A folder is not that of a finished run.
+    """
+    lines = []
+    for a, b in paired_sides(specs):
+        for column in ("traffic", "loop"):
+            one, other = (sorted({getattr(x, column) for x in side.rows}) for side in (a, b))
+            if one != other:
+                both = f"{'; '.join(one)} in {a.path}, {'; '.join(other)} in {b.path}"
+                lines.append(f"the {column} differs: {both}")
+        for side in (a, b):
+            if any(REAL_TIME in row.loop for row in side.rows):
+                lines.append(
+                    f"{side.path} cannot be repeated, as the time that its plans took is charged "
+                    "as latency: no ranked comparison"
+                )
+    return list(dict.fromkeys(lines))
 
 
 @dataclass(frozen=True)

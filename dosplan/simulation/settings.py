@@ -167,6 +167,8 @@ LOOPS: Final[Mapping[str, LoopSettings]] = MappingProxyType(
     {"ideal": IDEAL, "realistic": REALISTIC}
 )
 """The loops that have a name."""
+REAL_TIME: Final = "real_time=True"
+"""Part of the name of a loop that charges the time that plans take."""
 
 
 def loop_name(loop: LoopSettings) -> str:

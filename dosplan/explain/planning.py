@@ -49,6 +49,8 @@ class PlanningFacts:
         fallbacks: Number of cycles by the fallback that was driven.
         pressing: Number of cycles by the road user whose set the plan touched, or enters where that
             was computed.
+        waiting: Number of cycles by the reason why the ego stopped for a rule, in the planner's
+            words; empty where it does not say.
     """
 
     window: float
@@ -62,6 +64,7 @@ class PlanningFacts:
     iterations_max: int | None
     fallbacks: dict[str, int]
     pressing: dict[int, int]
+    waiting: dict[str, int]
 
     def lines(self) -> list[str]:
         """How planning went, in plain words."""
@@ -83,6 +86,9 @@ class PlanningFacts:
             users = ", ".join(f"{user} ({count})" for user, count in self.pressing.items())
             verb = "the plan enters" if self.computed else "touched the plan"
             out.append(f"road users whose sets {verb} (cycles): {users}")
+        if self.waiting:
+            reasons = "; ".join(f"{reason} ({count})" for reason, count in self.waiting.items())
+            out.append(f"rules for which the ego stopped (cycles): {reasons}")
         known = [_STATUSES[word] for word in self.statuses if word in _STATUSES]
         return out + [f"{status.word}: {status.advice}" for status in known if status.failed]
 
@@ -112,6 +118,7 @@ def planning_facts(drive: Drive) -> PlanningFacts | None:
     (chosen,) = np.nonzero((steps < end) & (steps >= end - round(WINDOW / dt)))
     if not len(chosen):
         return None
+    waits = [recording.waits_for[i] for i in chosen] if recording.waits_for else []
     words = [recording.status[i] for i in chosen]
     computed = all(word == SolveStatus.NOT_OPTIMISED.word for word in words)
     if computed:
@@ -138,6 +145,7 @@ def planning_facts(drive: Drive) -> PlanningFacts | None:
             Counter(name for i in chosen if (name := recording.fallback[i])).most_common()
         ),
         pressing=dict(Counter(user for users in touched for user in users).most_common()),
+        waiting=dict(Counter(reason for reason in waits if reason).most_common()),
     )
 
 

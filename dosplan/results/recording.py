@@ -93,6 +93,8 @@ class Recording:
         loop: Name of the loop.
         sightings: What the ego saw, rounded to 1/64 m, rad and m/s; None where that is all there
             was, at the step of each cycle.
+        waits_for: C reasons why the ego stops for a rule, empty where there is none; none at all
+            in files of versions that did not keep it.
 
     Raises:
         ValueError: Arrays do not fit each other, or what is no number is where one has to be.
@@ -128,6 +130,7 @@ class Recording:
     future: int = 0
     loop: str = "ideal"
     sightings: Sightings | None = None
+    waits_for: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         steps, cycles = len(self.inputs), len(self.cycle_steps)
@@ -149,6 +152,8 @@ class Recording:
                 raise ValueError(f"{name} has shape {found}, expected {shape}")
         if len(self.active_ids) != cycles:
             raise ValueError(f"active_ids has {len(self.active_ids)} entries, expected {cycles}")
+        if len(self.waits_for) not in (0, cycles):
+            raise ValueError(f"waits_for has {len(self.waits_for)} entries, expected {cycles}")
         for name in ("states", "inputs", "predict_seconds", "plan_seconds"):
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ValueError(f"{name} holds what is no number")
@@ -175,6 +180,7 @@ class Recording:
                 active_ids=self.active_ids[i],
                 fallback=self.fallback[i] or None,
                 road_slack=float(np.nan_to_num(self.road_slack[i])),
+                waits_for=(self.waits_for[i] or None) if self.waits_for else None,
             )
             for i in range(len(self.cycle_steps))
         )
@@ -238,6 +244,7 @@ class Recording:
             road_slack=np.array([report.road_slack for report in reports], dtype=np.float64),
             active_ids=tuple(tuple(int(i) for i in report.active_ids) for report in reports),
             fallback=tuple(str(report.fallback or "") for report in reports),
+            waits_for=tuple(str(report.waits_for or "") for report in reports),
             signals=episode.signals,
             plan_centres=_planned_centres(scenario, episode),
             **_kept_sets(episode),

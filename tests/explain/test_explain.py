@@ -447,7 +447,7 @@ def test_the_last_seconds_of_planning_are_summed_up(tmp_path: Path) -> None:
         **pressed,
         22: failing,
         23: replace(failing, road_slack=0.25),
-        24: failing,
+        24: replace(failing, waits_for="light 31"),
     }
     scenario = straight_scenario(braking_car(), velocity=15.0)
     found = explained(tmp_path, scenario, planner=Coast(reports))
@@ -463,6 +463,7 @@ def test_the_last_seconds_of_planning_are_summed_up(tmp_path: Path) -> None:
     text = "\n".join(found.lines())
     assert "6 of 20 plans enter a set, slack up to 2.10, all of them since 0.5 s" in text
     assert "fallback: brake in 3 cycles" in text
+    assert "rules for which the ego stopped (cycles): light 31 (1)" in text
     assert f"max_iterations: {SolveStatus.MAX_ITERATIONS.advice}" in text
 
 

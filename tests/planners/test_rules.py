@@ -84,6 +84,16 @@ def test_other_lights_do_not_slow_it_down(planner: Make, colour: LightColour) ->
 
 
 @both
+def test_plans_without_a_stop_are_the_same_to_the_last_bit(planner: Make) -> None:
+    users = [[30.0, 0.0, 0.0, 8.0], [60.0, 3.5, 0.0, 6.0]]
+    free = drive(planner(), ruled_scenario(users=users, seconds=4.0))
+    green = drive(planner(), at_light(LightColour.GREEN, users=users, limit=10.5, seconds=4.0))
+    for one, other in zip(free.plans, green.plans, strict=True):
+        np.testing.assert_array_equal(one.states, other.states)
+        np.testing.assert_array_equal(one.inputs, other.inputs)
+
+
+@both
 def test_a_light_for_another_way_does_not_stop_it(planner: Make) -> None:
     stop = stop_at(StopCause.LIGHT, LINE, LINE + 20.0, lights=(7,))
     lights = {7: [LightColour.GREEN], 8: [LightColour.RED]}
@@ -98,6 +108,20 @@ def test_it_goes_on_when_the_light_turns_green(planner: Make) -> None:
     assert front(episode)[:81].max() <= LINE
     assert velocity(episode)[:81].min() < 0.5
     assert front(episode)[-1] > LINE + 5.0
+
+
+@both
+def test_a_follower_does_not_push_it_over_the_line(planner: Make) -> None:
+    """It comes nearer than mpc keeps from a set, and stands there."""
+    behind = FRONT - 1.0 - VEHICLE.length - 0.3 - 2.25
+    scenario = at_light(
+        LightColour.RED,
+        line=FRONT + 1.0,
+        users=[[behind, 0.0, 0.0, 0.0]],
+        velocity=0.0,
+        seconds=3.0,
+    )
+    assert front(drive(planner(), scenario)).max() <= FRONT + 1.0
 
 
 @both

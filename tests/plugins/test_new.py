@@ -6,13 +6,16 @@ import shlex
 from pathlib import Path
 
 import pytest
+from dosplan_simple.predictors import NonePredictor
 
 from dosplan.cli.command import BAD_INPUT, OK
 from dosplan.cli.main import main
 from dosplan.plugins.conformance import check_planner, check_predictor
 from dosplan.plugins.registry import RegistryError, create_planner, find_planner, find_predictor
 from dosplan.results.rows import read_rows
-from dosplan.types import Outcome
+from dosplan.simulation.loop import run_episode
+from dosplan.types import EGO_VELOCITY, EGO_X, Arm, LightColour, Outcome, StopCause
+from tests.support.factories import ruled_scenario, stop_at
 from tests.support.scenes import Goal, Problem, rectangle, write_scenario_xml
 
 
@@ -58,6 +61,21 @@ def test_what_is_written_passes_the_check(
     assert shown[0].startswith(f"wrote {name}.py")
     assert shlex.split(shown[1]) == ["dosplan", "check", spec]
     assert shlex.split(shown[2]) == ["dosplan", "run", f"--{kind}", spec, "--limit", "1"]
+
+
+@pytest.mark.parametrize(("colour", "stops"), [(LightColour.RED, True), (LightColour.GREEN, False)])
+def test_planner_that_is_written_reads_a_light(
+    tmp_path: Path, colour: LightColour, stops: bool
+) -> None:
+    assert main(["new", "planner", "mine", "--out", str(tmp_path)]) == OK
+    planner = create_planner(f"{tmp_path}/mine.py:MinePlanner", seed=0)
+    line = stop_at(StopCause.LIGHT, 40.0, 60.0, lights=(7,))
+    scenario = ruled_scenario(line, lights={7: [colour]}, seconds=8.0)
+    episode = run_episode(scenario, planner, NonePredictor(), Arm.WITH_DOS)
+    vehicle = scenario.task.vehicle
+    front = episode.states[:, EGO_X] + vehicle.rear_to_centre + 0.5 * vehicle.length
+    assert (front.max() < 40.0) == stops
+    assert (episode.states[-1, EGO_VELOCITY] < 0.1) == stops
 
 
 def test_the_pair_of_them_reaches_a_goal(tmp_path: Path) -> None:

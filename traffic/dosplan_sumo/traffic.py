@@ -28,6 +28,7 @@ from dosplan.types import (
     USER_SIZE,
     USER_VELOCITY,
     FloatArray,
+    LightStates,
     RoadUserKind,
     Scenario,
     Tracks,
@@ -35,6 +36,7 @@ from dosplan.types import (
 from dosplan_sumo.demand import Demand, read_demand, read_offset, write_demand
 from dosplan_sumo.drivers import Drivers
 from dosplan_sumo.lanes import Lanes
+from dosplan_sumo.lights import Lights
 from dosplan_sumo.scene import CLASS_OF, User, angle_of, front_of, kind_of, users
 from dosplan_sumo.simulator import Simulation, SumoError, library
 
@@ -105,6 +107,7 @@ class SumoTraffic(Traffic):
 
     name = "sumo-v1"
     settings = SumoSettings
+    has_futures = True
 
     def __init__(
         self, *, seed: int = 0, settings: SumoSettings = SumoSettings(), future: int = 0
@@ -227,6 +230,7 @@ class SumoTraffic(Traffic):
             self._rebuild(past, present)
         for user in users(sumo, self._ego, self._offset):
             self._draw(sumo, user.name, user.walks)
+        self._lights = Lights(sumo, self._lanes, scenario, self._offset, first_step)
         past = self._with_more(past)
         for row in np.flatnonzero(past.valid[:, -1]):
             self._walked[int(past.ids[row])] = past.states[row, -1, :2]
@@ -278,6 +282,17 @@ class SumoTraffic(Traffic):
             size=np.reshape([known.size for known, _ in rows], (-1, 2)),
             states=np.reshape([state for _, state in rows], (-1, USER_SIZE)),
         )
+
+    def lights(self, step: int) -> LightStates | None:
+        """Tells what SUMO's lights show.
+
+        Args:
+            step: The present step.
+
+        Returns:
+            The states of the map's lights; None where SUMO has none of them.
+        """
+        return self._lights.at(step)
 
     def close(self) -> None:
         """Ends SUMO, so that another simulation can run in this process."""

@@ -131,6 +131,31 @@ def test_the_same_seed_gives_the_same_road_users_and_another_future_others() -> 
         np.testing.assert_array_equal(other.states[:, :start], driven[0].states[:, :start])
 
 
+def test_the_lights_are_those_of_sumo(traffic: SumoTraffic) -> None:
+    # They change during the drive; the cycles of the file were taken from SUMO.
+    scenario = load_scenario(suite_file("ZAM_Signal-5_1_T-1"))
+    world = World(scenario, traffic)
+    changed = False
+    for step in range(world.now, world.now + 60):
+        if step > world.now:
+            traffic.step(step, np.tile(scenario.task.start, (2, 1)))
+        shown, recorded = traffic.lights(step), scenario.signals.at(step)
+        assert shown is not None
+        assert shown.ids.tolist() == recorded.ids.tolist()
+        assert shown.colours == recorded.colours
+        np.testing.assert_allclose(shown.since, recorded.since, atol=1e-6)
+        changed |= bool((shown.since[recorded.since == 0.0] == 0.0).any())
+    assert changed
+    # A light that SUMO switches otherwise than the file says is shown as SUMO has it.
+    logic = libsumo.trafficlight.getIDList()[0]
+    state = libsumo.trafficlight.getRedYellowGreenState(logic)
+    libsumo.trafficlight.setRedYellowGreenState(logic, "r" * len(state))
+    traffic.step(world.now + 60, np.tile(scenario.task.start, (2, 1)))
+    now = traffic.lights(world.now + 60)
+    assert now is not None
+    assert {colour.value for colour in now.colours} == {"red"}
+
+
 def test_sumo_sees_the_rectangle_of_the_ego(traffic: SumoTraffic) -> None:
     scenario, drive = _recorded_drive(MERGE)
     vehicle = scenario.task.vehicle

@@ -173,7 +173,7 @@ def _since(drive: Drive, lights: tuple[int, ...], step: int) -> float:
 
 def _named(lights: tuple[int, ...]) -> str:
     plural = "s" if len(lights) > 1 else ""
-    return f"light{plural} {', '.join(map(str, lights))}"
+    return f"light{plural} {', '.join(map(str, sorted(lights)))}"
 
 
 def _place(distance: float) -> str:

@@ -448,7 +448,7 @@ def test_compare_shows_and_writes_the_same_figures(
     bound = 3.8414588 / 5.8414588
     assert comparison["success"] == {
         "n": 2, "places": 1, "a": 0.5, "b": 0.5, "difference": 0.0, "low": pytest.approx(-bound),
-        "high": pytest.approx(bound), "only_a": 0, "only_b": 0, "p": 1.0,
+        "high": pytest.approx(bound), "only_a": 0, "only_b": 0, "p": 1.0, "p_places": 1.0,
     }  # fmt: skip
 
 

@@ -8,7 +8,6 @@ Simpson's rule for integrals.
 
 What differs from that checker:
 
-- A goal with a velocity of zero has a velocity offset as any other; there it has none.
 - The inverse duration (MW1) is 1 / duration; there it is 10 for any drive, ``min`` being taken
   where ``max`` is meant.
 - The lateral jerk (MW1) is the derivative of velocity times yaw rate; there it is the first
@@ -18,8 +17,9 @@ What differs from that checker:
 - Lanes are the lanelets on which the ego's centre is, and distances to those ahead are along the
   route's path; there a sequence of lanelets is matched to the drive.
 
-The partial costs of energy, of the terminal offsets and of the vehicle's torques belong to no cost
-function below and are not computed.
+TR2, which that checker does not compute either, and the partial costs that no function below uses
+(energy, yaw rate, terminal offsets) are left out. Nothing that these functions need is missing from
+a recorded drive.
 """
 
 from __future__ import annotations
@@ -125,9 +125,13 @@ def _jerk(part: ScoredPart) -> float:
 
 
 def _velocity_offset(part: ScoredPart) -> float:
-    """From the lowest velocity of the goals that ask for one; zero where none does."""
+    """From the lowest velocity of the goals; zero where they name none, or an interval from 0 on.
+
+    Such an interval is a limit and no velocity that is wanted.
+    """
     wanted = [goal.velocity[0] for goal in part.scenario.task.goals if goal.velocity is not None]
-    return _squared(part.states[:, EGO_VELOCITY] - min(wanted), part) if wanted else 0.0
+    lowest = min(wanted, default=0.0)
+    return _squared(part.states[:, EGO_VELOCITY] - lowest, part) if lowest else 0.0
 
 
 def _direction_offset(part: ScoredPart) -> float:

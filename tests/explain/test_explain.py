@@ -378,6 +378,19 @@ def test_every_alternative_goal_is_told(tmp_path: Path) -> None:
     assert [facts.distance for facts in found.goals] == pytest.approx([8.5773, 38.5773], abs=1e-3)
 
 
+def test_a_time_that_is_waited_for_tells_the_progress_that_lacks() -> None:
+    scenario = straight_scenario(goals=[GoalState(30, 30)], final_step=30)
+    states = np.repeat(scenario.task.start[None], 31, axis=0)
+    states[:, 0] += np.minimum(np.arange(31.0), 5.0)
+    episode = run_episode(scenario, Coast(), Discs(1.0), Arm.WITH_DOS)
+    found = explain_drive(Drive.of(scenario, replace(episode, states=states)))
+    facts = goal_of(found)
+    assert (facts.failed, facts.distance, facts.late) == (("progress",), 0.0, 0.0)
+    assert (facts.progress, facts.expected_progress) == pytest.approx((5.0, 30.0))
+    words = "goal 1: a time alone, which standing still does not reach: 5.0 m along the route"
+    assert words in "\n".join(found.lines())
+
+
 def test_a_success_tells_its_margins(tmp_path: Path) -> None:
     # A car beside the ego, as fast: 3.5 m between the middles less both half widths.
     tracks = steady_tracks([[VEHICLE.rear_to_centre, LANE_WIDTH, 0.0, 10.0]])

@@ -1,0 +1,73 @@
+"""nuPlan's score: its formula, by hand, and what a drive has to do with it.
+
+Whole drives, each with one thing taken away, are golden scenes: ``tests/golden/scenes/nuplan_*``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dosplan.scenario.synthetic import straight_scenario
+from dosplan.scoring.nuplan import NuplanScore
+from dosplan.scoring.score import failed_score, score
+from dosplan.simulation.loop import known_drive
+from dosplan.types import Arm, EpisodeEnd, EpisodeKey
+
+ALL = NuplanScore(**{field.name: 1.0 for field in fields(NuplanScore)})
+MULTIPLIERS = (
+    "no_ego_at_fault_collisions",
+    "drivable_area_compliance",
+    "driving_direction_compliance",
+    "ego_is_making_progress",
+)
+WEIGHTS = {
+    "ego_progress_along_expert_route": 5,
+    "time_to_collision_within_bound": 5,
+    "speed_limit_compliance": 4,
+    "ego_is_comfortable": 2,
+}
+"""Those of ``closed_loop_nonreactive_agents_weighted_average.yaml``; they sum up to 16."""
+
+
+def test_every_part_is_a_multiplier_or_has_a_weight() -> None:
+    assert {field.name for field in fields(NuplanScore)} == {*MULTIPLIERS, *WEIGHTS}
+    assert ALL.total == 1.0
+
+
+@pytest.mark.parametrize("name", MULTIPLIERS)
+@pytest.mark.parametrize("value", [0.0, 0.5])
+def test_a_multiplier_multiplies(name: str, value: float) -> None:
+    assert replace(ALL, **{name: value}).total == value
+
+
+@pytest.mark.parametrize(("name", "weight"), WEIGHTS.items())
+def test_a_weight_weighs(name: str, weight: int) -> None:
+    assert replace(ALL, **{name: 0.0}).total == pytest.approx(1.0 - weight / 16.0)
+
+
+share = st.floats(0.0, 1.0)
+
+
+@given(st.builds(NuplanScore, *[share] * len(fields(NuplanScore))))
+def test_the_score_is_a_share_and_zero_where_a_multiplier_is(parts: NuplanScore) -> None:
+    assert 0.0 <= parts.total <= 1.0 + 1e-12
+    assert parts.total <= min(getattr(parts, name) for name in MULTIPLIERS) + 1e-12
+
+
+def test_a_planner_that_fails_has_a_score_of_zero() -> None:
+    """It would raise the mean of its arm if it had none."""
+    failed = failed_score(EpisodeKey("s", Arm.WITH_DOS), "it broke")
+    assert failed.measures["nuplan_score"] == 0.0
+    assert failed.measures["making_progress"] is False
+    scenario = straight_scenario(final_step=60)
+    states = np.repeat(scenario.task.start[None], 10, axis=0)
+    states[:, 0] += np.arange(10.0)
+    drive = known_drive(scenario, Arm.WITH_DOS, 0, states)
+    broken = replace(drive, end=EpisodeEnd.PLANNER_FAILURE, error="it broke")
+    assert score(scenario, broken).measures["nuplan_score"] == 0.0
+    assert score(scenario, drive).measures["nuplan_score"] != 0.0

@@ -31,6 +31,9 @@ VEHICLES: Final = frozenset(
 )
 """Who reacts; people on foot and on bicycles, trains and what is unknown drive as recorded."""
 
+RIDERS: Final = VEHICLES | {RoadUserKind.BICYCLE}
+"""Who reacts in futures other than the recorded one, where bicycles have a speed of their own."""
+
 _BACK: Final = 0.05  # Way of a step backwards of who drives backwards, m.
 _OFTEN: Final = 10  # Number of such steps.
 _SWING: Final = 1.0  # The most that a front swings out in a bend, m.
@@ -45,7 +48,7 @@ class Paths:
         first: (N,) first step on the scene.
         last: (N,) last step on the scene; -1 for who never is.
         whole: (N,) whether it is on the scene at each step between.
-        reacts: (N,) whether it reacts: a vehicle that is recorded whole and drives forwards.
+        reacts: (N,) whether it reacts: it is of such a kind, recorded whole and drives forwards.
         arc: (N, K) way driven until a step, m; constant before the first and after the last one.
         standing_until: (N, K) last step of the standstill that a step is part of, or the step.
         points: (N, M, 2) points of the path, ``SPACING`` apart, m; the last one is repeated.
@@ -54,11 +57,12 @@ class Paths:
         count: (N,) number of points.
     """
 
-    def __init__(self, tracks: Tracks) -> None:
+    def __init__(self, tracks: Tracks, reacting: frozenset[RoadUserKind] = VEHICLES) -> None:
         """Makes the tables.
 
         Args:
             tracks: The recording.
+            reacting: Kinds of road users that react.
         """
         self.tracks = tracks
         n, steps = tracks.valid.shape
@@ -73,7 +77,7 @@ class Paths:
         both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
         moves = np.where(both[..., None], np.diff(tracks.states[..., :2], axis=1), 0.0)
         np.cumsum(np.hypot(moves[..., 0], moves[..., 1]), axis=1, out=self.arc[:, 1:])
-        self.reacts = self.whole & np.array([kind in VEHICLES for kind in tracks.kinds], dtype=bool)
+        self.reacts = self.whole & np.array([kind in reacting for kind in tracks.kinds], dtype=bool)
         self.reacts &= self._forwards(moves)
         self.standing_until = self._standstills()
         self._sample()

@@ -14,6 +14,74 @@ class Manner(StrEnum):
 
 
 @dataclass(frozen=True)
+class Intentions:
+    """How road users differ in the futures that are not the recorded one.
+
+    Attributes:
+        speed_deviation: Standard deviation of the desired speed of vehicles as a share of the
+            recorded one; twice that at most. SUMO's default for cars, ``normc(1, 0.1, 0.2, 2)``.
+        reaction_mean: Mean of the reaction time, s, lognormal between 0.4 and 2.5 s: brake lights
+            of a leader who is not expected to brake (Green, "How long does it take to stop?",
+            Transportation Human Factors 2, 2000).
+        reaction_deviation: Its standard deviation, s ("Fast-rise brake lamp as a
+            collision-prevention device", Ergonomics, 1993).
+        time_gap_spread: Standard deviation of the logarithm of the time gap, between 0.4 and 2.5
+            times ``time_gap``; nine of ten are between 0.56 and 1.8 times. An assumption.
+        courteous_share: Share of drivers who give way to an ego that will be there first. An
+            assumption.
+        glances: How often a driver looks away while it looks ahead, 1/s. An assumption: they look
+            away for about a tenth of the time.
+        glance_median: Median of how long, s, lognormal.
+        glance_spread: Standard deviation of its logarithm: one of twenty glances is longer than
+            1.7 s, beyond which Liang, Lee and Horrey ("A looming crisis", HFES 2014) find crashes.
+        amber_mean: Mean of the deceleration up to which a driver stops at a yellow light, m/s2:
+            what the Institute of Transportation Engineers times yellow lights for.
+        amber_deviation: Its standard deviation, m/s2. An assumption.
+        other_way_share: Share of drivers who take the path of somebody else who was in their lane,
+            where there is one: a turn or a lane change. An assumption.
+        walking_deviation: Standard deviation of the speed of people on foot and on bicycles, as a
+            share of the recorded one; twice that at most (Fitzpatrick et al., "Improving pedestrian
+            safety at unsignalized crossings", NCHRP 562, 2006: 1.45 m/s, and 1.15 m/s for the
+            slowest 15 %).
+        waiting_share: Share of people on foot who wait before they step onto the road. An
+            assumption.
+        waiting_mean: Mean of how long they wait, s, exponential. An assumption.
+        stepping_out_share: Share of the others who do not wait where they are recorded to. An
+            assumption.
+    """
+
+    speed_deviation: float = 0.1
+    reaction_mean: float = 1.25
+    reaction_deviation: float = 0.46
+    time_gap_spread: float = 0.35
+    courteous_share: float = 0.2
+    glances: float = 0.12
+    glance_median: float = 0.8
+    glance_spread: float = 0.45
+    amber_mean: float = 3.0
+    amber_deviation: float = 0.5
+    other_way_share: float = 0.2
+    walking_deviation: float = 0.2
+    waiting_share: float = 0.3
+    waiting_mean: float = 2.0
+    stepping_out_share: float = 0.2
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not value >= 0.0:
+                raise ValueError(f"{field.name} is {value:g}, expected 0 or more")
+            if field.name.endswith("_share") and value > 1.0:
+                raise ValueError(f"{field.name} is {value:g}, expected a share from 0 to 1")
+        for name in ("speed_deviation", "walking_deviation"):
+            if getattr(self, name) > 0.25:
+                raise ValueError(f"{name} is {getattr(self, name):g}, expected 0.25 or less")
+        for name in ("reaction_mean", "glance_median"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name} is {getattr(self, name):g}, expected more than 0")
+
+
+@dataclass(frozen=True)
 class ReactiveSettings:
     """How road users drive once they have to react; the recording says how they drive before.
 
@@ -34,6 +102,7 @@ class ReactiveSettings:
         needed_braking: Deceleration that must be needed before the ego, or who crosses, counts as
             in the way, m/s2.
         crossing_margin: Time between two road users at a crossing that both take for free, s.
+        intentions: How they differ in futures other than the recorded one.
     """
 
     manner: Manner = Manner.STRICT
@@ -47,6 +116,7 @@ class ReactiveSettings:
     look_ahead: float = 4.0
     needed_braking: float = 1.0
     crossing_margin: float = 0.5
+    intentions: Intentions = Intentions()
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -15,20 +15,25 @@ from typing import Final
 
 import numpy as np
 
+from dosplan.geometry.lights import LightIndex
 from dosplan.simulation.traffic import Replay, RoadUsers, Traffic, empty_tracks
 from dosplan.types import (
+    COLOURS,
     EGO_VELOCITY,
     USER_HEADING,
     USER_VELOCITY,
     BoolArray,
     FloatArray,
     IntArray,
+    LightColour,
+    RoadUserKind,
     Scenario,
     Tracks,
 )
 from dosplan_reactive.corridors import Beside, Meetings, ego_beside, overlap
-from dosplan_reactive.paths import SPACING, Paths
-from dosplan_reactive.settings import Manner, ReactiveSettings
+from dosplan_reactive.intentions import RAMP, drawn, recorded_minds
+from dosplan_reactive.paths import RIDERS, SPACING, VEHICLES, Paths
+from dosplan_reactive.settings import ReactiveSettings
 
 OFF: Final = 0.5
 """Steps by which a clock is off before others react to it: 0.05 s."""
@@ -47,6 +52,7 @@ class ReactiveTraffic(Traffic):
 
     name = "reactive-v1"
     settings = ReactiveSettings
+    has_futures = True
 
     def __init__(
         self,
@@ -76,23 +82,31 @@ class ReactiveTraffic(Traffic):
         Returns:
             What is recorded until then.
         """
-        self._paths = paths = Paths(scenario.tracks)
+        chosen, n = self.chosen, len(scenario.tracks.ids)
+        if self.future:
+            minds, tracks = drawn(scenario, first_step, chosen, self.seed, self.future)
+        else:
+            minds, tracks = recorded_minds(n, chosen), scenario.tracks
+        self._minds, self._first = minds, first_step
+        self._waited = np.zeros(n, dtype=np.int64)
+        walks = [self.future > 0 and kind is RoadUserKind.PEDESTRIAN for kind in tracks.kinds]
+        self._walks = np.array(walks, dtype=np.bool_)
+        self._lights = _Lights(scenario) if scenario.road_map.lights else None
+        self._paths = paths = Paths(tracks, RIDERS if self.future else VEHICLES)
         self._meetings = Meetings(paths, self.chosen.side_margin)
         self._vehicle, self._dt = scenario.task.vehicle, scenario.dt
-        n = len(scenario.tracks.ids)
         self._clock = np.full(n, float(first_step))
         self._started = (paths.first <= first_step) & (paths.last >= 0)
         self._gone = (paths.last < first_step) | (paths.last < 0)
         rows = np.flatnonzero(self._started & ~self._gone & paths.whole)
         self._speed = np.zeros(n)
         self._speed[rows] = np.abs(paths.at(rows, self._clock[rows])[:, USER_VELOCITY])
-        self._pace = np.ones(n)
         # Towards the ego: how long it has been in the way, whether there is a reaction by now, and
         # the gaps to keep, which begin at those first seen.
         self._alarm = np.zeros(n)
         self._aware = np.zeros(n, dtype=np.bool_)
-        self._ego_gaps = _Gaps(n, self.chosen)
-        self._gaps = _Gaps((n, n), self.chosen)
+        self._ego_gaps = _Gaps(n, chosen, minds.time_gap)
+        self._gaps = _Gaps((n, n), chosen, minds.time_gap)
         return Replay().begin(scenario, first_step)
 
     def step(self, step: int, ego: FloatArray) -> RoadUsers:
@@ -105,26 +119,40 @@ class ReactiveTraffic(Traffic):
         Returns:
             The road users on the scene.
         """
-        paths, past = self._paths, ego[:-1]
+        paths = self._paths
+        past = ego[:-1] if len(ego) > 1 else ego  # A single row is an ego that stays.
         here = np.flatnonzero(self._started & ~self._gone & paths.whole)
         pose = paths.at(here, self._clock[here])
         late = np.abs(self._clock[here] - (step - 1)) > OFF
         drives = paths.reacts[here]
         limit = np.full(len(here), np.inf)
-        self._heed_ego(here, drives, pose, past, limit)
+        self._heed_ego(step, here, drives, pose, past, limit)
+        if self._lights is not None:
+            heeds = np.flatnonzero(drives & (late | (self.future > 0)))
+            self._lights.heed(
+                step - 1,
+                here[heeds],
+                pose[heeds],
+                self._speed,
+                self._minds.amber,
+                paths,
+                limit,
+                heeds,
+            )
         if late.any():
             self._heed_others(here, drives, late, pose, limit)
         before = self._clock[here]
         self._move(step, here, drives, limit)
         if (np.abs(self._clock[here] - step) > OFF).any():
             self._keep_apart(step, here, pose, before)
-        self._arrive(step, ego)
+        self._arrive(step, past)
         return self._present(step)
 
     # ---- what the ego asks for ------------------------------------------------------------
 
     def _heed_ego(
         self,
+        step: int,
         here: IntArray,
         drives: BoolArray,
         pose: FloatArray,
@@ -151,13 +179,18 @@ class ReactiveTraffic(Traffic):
         meets = ahead & self._will_meet(rows, way, front, seen.low, along, braking, clears)
         coming = np.where(along > 0.0, np.maximum(along - braking, 0.0), along)
         needed = np.maximum(own - coming, 0.0) ** 2 / (2.0 * gap)
-        if chosen.manner is Manner.COURTEOUS:
-            giving = self._gives_way(rows, way, front, centre, velocity, limit[looks])
-            limit[looks] = giving
-        self._alarm[rows] = np.where(meets, self._alarm[rows] + dt, 0.0)
+        minds = self._minds
+        away = minds.away[rows, (step - self._first) % minds.away.shape[1]]
+        polite = np.flatnonzero(minds.courteous[rows] & ~away)
+        if len(polite):
+            limit[looks[polite]] = self._gives_way(
+                rows[polite], way[polite], front[polite], centre, velocity, limit[looks[polite]]
+            )
+        noticed = np.where(away, self._alarm[rows], self._alarm[rows] + dt)
+        self._alarm[rows] = np.where(meets, noticed, 0.0)
         aware = self._aware[rows]
         fresh = meets & ~aware & (needed > chosen.needed_braking)
-        fresh &= self._alarm[rows] > chosen.reaction_time - 1e-9
+        fresh &= ~away & (self._alarm[rows] > minds.reaction[rows] - 1e-9)
         self._ego_gaps.first_seen(rows[fresh], gap[fresh], own[fresh])
         aware = (aware | fresh) & ahead
         self._aware[rows] = aware
@@ -165,7 +198,7 @@ class ReactiveTraffic(Traffic):
         least, time_gap = self._ego_gaps.of(rows)
         follows = _idm(own, along, gap, least, time_gap, chosen)
         # Who crosses and will have left before one is there asks for nothing.
-        acts = aware & ((np.cos(seen.turn) > _ALIGNED) | (gap < own * clears))
+        acts = aware & ((np.cos(seen.turn) > _ALIGNED) | (gap < np.maximum(own, 1e-9) * clears))
         limit[looks] = np.where(acts, np.minimum(limit[looks], follows), limit[looks])
 
     def _ego_braking(self, past: FloatArray) -> float:
@@ -218,7 +251,9 @@ class ReactiveTraffic(Traffic):
             gap = seen.low - front
             there = gap / own
             crosses = seen.inside & (np.cos(seen.turn) < _ALIGNED) & (gap > 0.0)
-            first = crosses & (there > time) & (there < time + 0.4 + chosen.crossing_margin)
+            first = (
+                crosses & (there > time) & (there < time + 0.4 + self._minds.crossing_margin[rows])
+            )
             needed = own**2 / (2.0 * np.maximum(gap - 0.5, _CLOSEST))
             first &= (needed > chosen.needed_braking) & (needed < _COMMITTED)
             limit = np.where(first, np.minimum(limit, -needed), limit)
@@ -276,8 +311,8 @@ class ReactiveTraffic(Traffic):
         pace = np.maximum(own, 0.1)
         reaches, passes = np.maximum(to_zone, 0.0) / pace, np.maximum(zone_end, 0.0) / pace
         needed = own**2 / (2.0 * np.maximum(to_zone - 0.5, _CLOSEST))
-        both = coming & (reaches < left + chosen.crossing_margin)
-        both &= arrives < passes + chosen.crossing_margin
+        margin = self._minds.crossing_margin[here[owner]]
+        both = coming & (reaches < left + margin) & (arrives < passes + margin)
         both &= np.minimum(reaches, arrives) < chosen.look_ahead
         half = len(one)
         swap = np.concatenate([np.arange(half, 2 * half), np.arange(half)])
@@ -316,7 +351,11 @@ class ReactiveTraffic(Traffic):
     def _move(self, step: int, here: IntArray, drives: BoolArray, limit: FloatArray) -> None:
         """Runs the clocks on, as far as the accelerations let the road users get."""
         paths, dt, chosen = self._paths, self._dt, self.chosen
-        clock, last, pace = self._clock[here], paths.last[here], self._pace[here]
+        clock, last, minds = self._clock[here], paths.last[here], self._minds
+        taken = min(1.0, (step - self._first) * dt / RAMP)
+        pace = 1.0 + taken * (minds.pace[here] - 1.0)
+        holds = (clock >= minds.hold[here]) & (self._waited[here] < minds.hold_steps[here])
+        self._waited[here] += holds
         planned = paths.way(here, clock + pace) - paths.way(here, clock)
         speed = self._speed[here]
         on_time = clock == step - 1
@@ -340,8 +379,13 @@ class ReactiveTraffic(Traffic):
         if held.any():
             moved[held] = paths.clock_after(here[held], clock[held], way[held], pace[held])
         # A standstill of the recording lasts until the recorded time.
-        waits = drives & (standing > at) & (reached < 0.5)
-        moved = np.where(waits, np.maximum(moved, np.clip(step, clock, standing)), moved)
+        own = drives | self._walks[here]
+        waits = own & (standing > at) & ((reached < 0.5) | ~drives)
+        hurries = waits & minds.steps_out[here]
+        waits &= ~hurries
+        moved = np.where(waits, np.clip(step, clock, standing), moved)
+        moved = np.where(hurries, standing, moved)
+        moved = np.where(holds, clock, moved)
         self._clock[here] = moved
         gone = moved > last
         self._gone[here[gone]] = True
@@ -350,7 +394,7 @@ class ReactiveTraffic(Traffic):
         # Recorded velocities may exceed the way that is driven: they make nobody faster.
         slower = np.minimum(as_recorded, reached[~gone])
         kept = np.where(free[~gone], np.where(brakes[~gone], slower, as_recorded), reached[~gone])
-        self._speed[stay] = kept
+        self._speed[stay] = np.where(holds[~gone], 0.0, kept)
 
     def _keep_apart(self, step: int, here: IntArray, before: FloatArray, clock: FloatArray) -> None:
         """Holds who would overlap another that it did not overlap before."""
@@ -403,7 +447,7 @@ class ReactiveTraffic(Traffic):
 
     # ---- coming and being there -----------------------------------------------------------
 
-    def _arrive(self, step: int, ego: FloatArray) -> None:
+    def _arrive(self, step: int, past: FloatArray) -> None:
         """Lets those come onto the scene whose place is free."""
         paths = self._paths
         due = np.flatnonzero(~self._started & (paths.first <= step) & (paths.last >= 0))
@@ -414,8 +458,8 @@ class ReactiveTraffic(Traffic):
         size = paths.tracks.size[here]
         off = np.abs(self._clock[here] - step) > OFF
         speed = self._speed[here]
-        centre = self._vehicle.poses(ego[-2:-1])[0]
-        ego_row = np.array([[*centre, abs(float(ego[-2, EGO_VELOCITY]))]])
+        centre = self._vehicle.poses(past[-1:])[0]
+        ego_row = np.array([[*centre, abs(float(past[-1, EGO_VELOCITY]))]])
         for row in due:
             self._clock[row] = float(paths.first[row])
             new = paths.tracks.states[row, paths.first[row]]
@@ -455,6 +499,74 @@ class ReactiveTraffic(Traffic):
         )
 
 
+class _Lights:
+    """Traffic lights, for who is off the recording and cannot rely on what that met.
+
+    Who is recorded to run a red light, or to go where it does not hold, runs it.
+    """
+
+    _BEFORE_LINE: Final = 1.0  # Where somebody stops before the line, m.
+    _AT_LINE: Final = 3.0  # Up to where somebody who stands waits at the line, m.
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._index = LightIndex(scenario.road_map)
+        self._signals = scenario.signals
+        self._runs: dict[int, bool] = {}
+
+    def heed(
+        self,
+        step: int,
+        rows: IntArray,
+        pose: FloatArray,
+        speeds: FloatArray,
+        amber: FloatArray,
+        paths: Paths,
+        limit: FloatArray,
+        at: IntArray,
+    ) -> None:
+        """Lowers accelerations where a light asks for a stop.
+
+        Args:
+            step: The present step.
+            rows: (R,) who heeds lights.
+            pose: (R, 4) where they are.
+            speeds: (N,) speeds of all, m/s.
+            amber: (N,) deceleration up to which each stops at a yellow light, m/s2.
+            paths: The paths.
+            limit: (H,) accelerations of who is here, which are lowered, m/s2.
+            at: (R,) places of ``rows`` in ``limit``.
+        """
+        if not len(rows):
+            return
+        own = speeds[rows]
+        seen = self._index.ahead(pose, paths.tracks.size[rows], self._signals.at(step))
+        red = np.array([colour >= 0 and COLOURS[colour].forbids for colour in seen.colour])
+        yellow = seen.colour == COLOURS.index(LightColour.YELLOW)
+        needed = own**2 / (2.0 * np.maximum(seen.distance - self._BEFORE_LINE, _CLOSEST))
+        stops = (red & (needed < _COMMITTED)) | (yellow & (needed < amber[rows]))
+        stops &= seen.distance > 0.0
+        for i in np.flatnonzero(stops):
+            stops[i] = not self._is_run(int(rows[i]), paths)
+        waits = stops & (seen.distance < self._AT_LINE) & (own < 1.0)
+        asked = np.where(waits, -2.0, np.where(stops & (needed > 1.0), -needed, np.inf))
+        limit[at] = np.minimum(limit[at], asked)
+
+    def _is_run(self, row: int, paths: Paths) -> bool:
+        """Whether somebody is recorded to drive over a line at red."""
+        if row not in self._runs:
+            before, self._runs[row] = np.inf, False
+            for step in range(int(paths.first[row]), int(paths.last[row]) + 1, 2):
+                state = paths.tracks.states[row, step : step + 1]
+                size = paths.tracks.size[row : row + 1]
+                seen = self._index.ahead(state, size, self._signals.at(step))
+                distance, colour = float(seen.distance[0]), int(seen.colour[0])
+                if before > 0.0 >= distance and colour >= 0 and COLOURS[colour].forbids:
+                    self._runs[row] = True
+                    break
+                before = distance
+        return self._runs[row]
+
+
 class _Gaps:
     """Gaps to keep, by pair: they begin at what is first seen, and grow back to what is wanted.
 
@@ -464,8 +576,10 @@ class _Gaps:
     _OPENING: Final = 0.5  # How fast the gap at a standstill grows back, m/s.
     _EASING: Final = 0.1  # How fast the time gap grows back, s per s.
 
-    def __init__(self, shape: int | tuple[int, int], chosen: ReactiveSettings) -> None:
-        self._chosen = chosen
+    def __init__(
+        self, shape: int | tuple[int, int], chosen: ReactiveSettings, time_gap: FloatArray
+    ) -> None:
+        self._chosen, self._wanted = chosen, time_gap
         self._least = np.full(shape, np.nan)
         self._time = np.full(shape, np.nan)
 
@@ -478,7 +592,7 @@ class _Gaps:
     ) -> None:
         """Takes the gap that there is, for pairs that have none yet or are seen anew."""
         least = np.minimum(0.9 * gap, self._chosen.least_gap)
-        time = np.minimum((gap - least) / np.maximum(speed, 1.0), self._chosen.time_gap)
+        time = np.minimum((gap - least) / np.maximum(speed, 1.0), self._time_gap(index))
         if where is None:
             self._least[index], self._time[index] = least, time
             return
@@ -500,7 +614,7 @@ class _Gaps:
         room = np.maximum(least + self._OPENING * dt, np.minimum(0.9 * gap, chosen.least_gap))
         least = np.minimum(room, chosen.least_gap)
         held = (gap - least) / np.maximum(speed, 1.0)
-        time = np.minimum(np.maximum(time + self._EASING * dt, held), chosen.time_gap)
+        time = np.minimum(np.maximum(time + self._EASING * dt, held), self._time_gap(index))
         if where is not None:
             least = np.where(where, least, self._least[index])
             time = np.where(where, time, self._time[index])
@@ -512,8 +626,11 @@ class _Gaps:
         known = ~np.isnan(least)
         return (
             np.where(known, least, self._chosen.least_gap),
-            np.where(known, time, self._chosen.time_gap),
+            np.where(known, time, self._time_gap(index)),
         )
+
+    def _time_gap(self, index: IntArray | tuple[IntArray, IntArray]) -> FloatArray:
+        return self._wanted[index[0] if isinstance(index, tuple) else index]
 
 
 def _idm(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,69 +10,10 @@ from dosplan_reactive.settings import Manner, ReactiveSettings
 from dosplan_reactive.traffic import ReactiveTraffic
 
 from dosplan.scenario.synthetic import CAR_SIZE, LANE_WIDTH, steady_tracks, straight_scenario
-from dosplan.simulation.traffic import RoadUsers
-from dosplan.types import EGO_SIZE, FloatArray, RoadUserKind, Scenario, Tracks
+from dosplan.types import COLOURS, LightColour, RoadUserKind, Scenario
+from tests.support.lights import STOP_X, regulated_scenario
 from tests.support.traffic import braking_before, followed
-
-DT = 0.1
-
-
-def along(
-    speeds: Sequence[float] | FloatArray, start: float = 0.0, y: float = 0.0, heading: float = 0.0
-) -> FloatArray:
-    """States of somebody who drives straight on, at the speed of each step."""
-    speed = np.asarray(speeds, dtype=np.float64)
-    way = start + DT * np.concatenate([[0.0], np.cumsum(speed[1:])])
-    states = np.zeros((len(speed), 4))
-    states[:, 0] = way * np.cos(heading) - y * np.sin(heading)
-    states[:, 1] = way * np.sin(heading) + y * np.cos(heading)
-    states[:, 2], states[:, 3] = heading, speed
-    return states
-
-
-def scene(*users: FloatArray, kinds: Sequence[RoadUserKind] | None = None) -> Scenario:
-    """A scenario with these road users; NaN where they are not on the scene."""
-    states = np.stack(users)
-    valid = ~np.isnan(states[..., 0])
-    return straight_scenario(
-        Tracks(
-            ids=100 + np.arange(len(users)),
-            kinds=tuple(kinds or [RoadUserKind.CAR] * len(users)),
-            size=np.tile(CAR_SIZE, (len(users), 1)),
-            states=states,
-            valid=valid,
-        )
-    )
-
-
-def ego_at(scenario: Scenario, centres: FloatArray) -> FloatArray:
-    """(K, 5) ego states whose rectangle has these (K, 4) centres, headings and velocities."""
-    states = np.zeros((len(centres), EGO_SIZE))
-    back = scenario.task.vehicle.rear_to_centre
-    states[:, 0] = centres[:, 0] - back * np.cos(centres[:, 2])
-    states[:, 1] = centres[:, 1] - back * np.sin(centres[:, 2])
-    states[:, 3], states[:, 4] = centres[:, 3], centres[:, 2]
-    return states
-
-
-def driven(
-    scenario: Scenario, centres: FloatArray, traffic: ReactiveTraffic | None = None
-) -> list[RoadUsers]:
-    """What is handed over at the steps 1, 2, ..., while the ego drives along its centres."""
-    traffic = ReactiveTraffic() if traffic is None else traffic
-    traffic.begin(scenario, 0)
-    ego = ego_at(scenario, centres)
-    return [traffic.step(step, ego[: step + 1]) for step in range(1, len(ego))]
-
-
-def state(users: RoadUsers, name: int) -> FloatArray:
-    """The state of a road user."""
-    return np.asarray(users.states[users.ids.tolist().index(name)])
-
-
-def standing(x: float, y: float = 0.0, heading: float = 0.0, steps: int = 101) -> FloatArray:
-    """An ego that stands."""
-    return np.tile([x, y, heading, 0.0], (steps, 1))
+from tests.traffic.reactive.scenes import DT, along, driven, scene, standing, state
 
 
 def test_with_nobody_in_the_way_the_recording_comes_back_to_the_last_bit() -> None:
@@ -232,6 +172,28 @@ def test_after_its_last_recorded_step_somebody_leaves_the_scene_even_if_late() -
     assert there[-1] == 0
     free = driven(scenario, standing(-300.0, steps=63))
     assert [len(u.ids) for u in free[57:]] == [1, 1, 0, 0, 0]
+
+
+def test_who_is_late_stops_at_a_light_that_its_recording_passed_while_it_was_green() -> None:
+    # The light of the other lane turns red when the recording is just over the line.
+    passing = along(np.full(101, 10.0), start=-5.0, y=LANE_WIDTH)
+    plain = regulated_scenario(scene(passing).tracks)
+    signals = plain.signals
+    colours = np.array(signals.colours)
+    colours[2] = COLOURS.index(LightColour.GREEN)
+    colours[2, 36:] = COLOURS.index(LightColour.RED)
+    scenario = replace(plain, signals=replace(signals, colours=colours))
+    for step, users in enumerate(driven(scenario, standing(-300.0)), 1):
+        np.testing.assert_array_equal(users.states, scenario.tracks.states[:, step])
+    ego = standing(14.0, LANE_WIDTH)
+    ego[18:, 1] = -30.0
+    late = driven(scenario, ego)
+    front = state(late[-1], 100)[0] + 0.5 * CAR_SIZE[0]
+    assert 26.0 < front < STOP_X
+    assert state(late[-1], 100)[3] < 0.3
+    always = np.full_like(colours, COLOURS.index(LightColour.GREEN))
+    green = replace(plain, signals=replace(signals, colours=always))
+    assert state(driven(green, ego)[-1], 100)[0] > STOP_X + 10.0
 
 
 def test_an_episode_leaves_nothing_behind() -> None:

@@ -200,11 +200,11 @@ def sample_pasts_of(
     predictors = predictors_of(methods, seed)
     seed_globals(seed)
     try:
-        return sample_pasts(
-            load_scenario(ref),
-            predictors,
-            [create_traffic(traffic, seed, future=future) for future in range(futures)],
-        )
+        scenario = load_scenario(ref)
+        made = [create_traffic(traffic, seed, future=future) for future in range(futures)]
+        if (why := made[0].refuses(scenario)) is not None:
+            return str(ScenarioError(ref.path, why))
+        return sample_pasts(scenario, predictors, made)
     except ScenarioError as error:
         return str(error)  # It names the file.
     except PredictionError as error:

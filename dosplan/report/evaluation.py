@@ -159,7 +159,7 @@ def _future_blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
     """Coverage over the futures of one past, and the pasts that are covered less often."""
     data, rows = figures["data"], _by(figures["futures"], "method", "group")
     seconds = [f"{t:g}" for t in data["horizons_s"]]
-    below = f"below {100 * data['level']:g} %"
+    level = f"{100 * data['level']:g} %"
     for group in _MAIN_GROUPS:
         found = {method: part for (method, there), part in rows.items() if there == group}
         if not found:
@@ -167,15 +167,19 @@ def _future_blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
         counts = ", ".join(str(row["pasts"]) for row in next(iter(found.values())))
         yield (
             f"Sets over futures, {group} (pasts at {', '.join(seconds)} s: {counts})",
+            ["Method", *(f"CR % {t} s" for t in seconds)],
             [
-                "Method",
-                *(f"CR % {t} s" for t in seconds),
-                *(f"pasts {below}, % {t} s (by chance)" for t in seconds),
+                [method, *(_share(row["cr"], row["cr_se"]) for row in part)]
+                for method, part in found.items()
             ],
+        )
+        yield (
+            f"Pasts that are covered below {level}, {group}, in %; in brackets those that would be "
+            f"by chance if each were covered to {level}",
+            ["Method", *(f"{t} s" for t in seconds)],
             [
                 [
                     method,
-                    *(_share(row["cr"], row["cr_se"]) for row in part),
                     *(f"{_percent(r['below'])} ({_percent(r['below_by_chance'])})" for r in part),
                 ]
                 for method, part in found.items()

@@ -147,7 +147,7 @@ def test_the_command_measures_over_futures(
     told = capsys.readouterr().out
     assert "2 road users at the start of 2 scenarios" in told
     assert "5 futures of each by the traffic wandering-v1" in told
-    assert "pasts below 50 %" in (tmp_path / "x.md").read_text()
+    assert "covered below 50 %, all" in (tmp_path / "x.md").read_text()
     content = json.loads(figures.read_text())
     assert content.keys() == {"futures", "data"}
     row = content["futures"][0]
@@ -177,6 +177,16 @@ def test_options_that_do_not_fit_are_one_line(
     told = [option.format(traffic=f"{TRAFFIC}:WanderingTraffic") for option in options]
     assert main(["evaluate", scenes, "--predictor", "constant-velocity", *told]) == cli.BAD_INPUT
     assert message in capsys.readouterr().err
+
+
+def test_a_scenario_that_the_traffic_refuses_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenes = str(write_scenes(tmp_path / "scenes", 1))
+    sumo = ["--traffic", "dosplan_sumo.traffic:SumoTraffic", "--futures", "2"]
+    asked = ["evaluate", scenes, "--predictor", "constant-velocity", "--workers", "1"]
+    assert main([*asked, *sumo]) == cli.BAD_INPUT
+    assert "has no files of SUMO beside it" in capsys.readouterr().err
 
 
 def test_a_predictor_that_is_shown_the_recording_is_refused(

@@ -26,7 +26,7 @@ from dosplan.results.recording import Recording
 from dosplan.results.rows import LATER
 from dosplan.results.summary import ArmSummary, RunTitle, Summary
 from dosplan.results.unusable import Unusable
-from dosplan.scoring import metrics
+from dosplan.scoring import commonroad_cost, metrics, nuplan, progress, rules
 from dosplan.system.provenance import Machine
 from dosplan.types import Score, Sightings, Tracks
 
@@ -59,6 +59,13 @@ has two p values: `p` takes scenarios as independent, and with one future each i
 test; `p_places` takes places as independent. Both are exact however few groups differ; the
 chi-square tests for pairs in groups (Obuchowski 1998, Durkalski 2003) need many. See
 `dosplan/results/paired.py`."""
+_MODULES: Final = {
+    "Rules of the road": rules,
+    "Progress": progress,
+    "nuPlan's score": nuplan,
+    "CommonRoad's costs": commonroad_cost,
+}
+"""Modules that say more of their metrics than a line of the table."""
 _NAMES: Final[dict[Any, str]] = {
     str: "text", bool: "true or false", int: "whole number", float: "number", Any: "anything",
     types.NoneType: "null",
@@ -103,7 +110,15 @@ def metrics_page() -> str:
         ]
         for metric in metrics.METRICS
     ]
-    return f"{_METRICS_HEAD}\n\n{markdown(headings, rows, numbers=False)}\n"
+    table = markdown(headings, rows, numbers=False)
+    sections = (f"## {title}\n\n{_page_text(module)}" for title, module in _MODULES.items())
+    return "\n\n".join([_METRICS_HEAD, table, *sections]) + "\n"
+
+
+def _page_text(module: types.ModuleType) -> str:
+    """What the docstring of a module says, as Markdown."""
+    text = inspect.getdoc(module) or ""
+    return text.replace(" ::\n", ":\n").replace("::\n", ":\n").replace("``", "`")
 
 
 def _table(kind: type) -> str:

@@ -448,7 +448,7 @@ METRICS: tuple[Metric, ...] = (
         "driving_direction_compliance · ego_is_making_progress · (5 "
         "ego_progress_along_expert_route + 5 time_to_collision_within_bound + 4 "
         "speed_limit_compliance + 2 ego_is_comfortable) / 16, 0 where the planner fails "
-        "(`dosplan/scoring/nuplan.py` tells what differs from nuPlan)",
+        "(below: what differs from nuPlan)",
         aggregate=Aggregate.MEAN,
         group=Group.NUPLAN,
         better=Better.HIGHER,

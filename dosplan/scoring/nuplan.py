@@ -16,6 +16,8 @@ What differs from nuPlan, as the scenarios do:
 - Contacts are found between steps, too, comfort is smoothed by a filter of 7 instead of 8 samples
   (``dosplan.scoring.comfort``), and a step on which the ego changes the lane counts for its
   direction (``dosplan.scoring.rules.wrong_way``).
+- Who is struck from behind by traffic that reacts may be to blame for cutting in
+  (`dosplan.scoring.fault`).
 - In several lanes is who stands in lanelets that do not follow each other; an intersection is what
   lies in a lanelet that the file names as inside one.
 """

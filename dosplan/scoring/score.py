@@ -157,6 +157,9 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
     progress = _progress(task.route, ego)
     signals = signals_of(scenario, episode)
     needed = needed_progress(scenario, tracks, signals)
+    waited = goal_step is not None and _needs_no_drive(task, states[-1], goal_step)
+    if goal_step is not None and not waited:
+        needed = min(needed, max(progress, 0.0))  # The ego is there: all that was to be driven.
     off_road = np.flatnonzero(outside(ego[:, :3], vehicle.size, scenario.road_map))
     out_of_bounds_step = start + int(off_road[0]) if off_road.size else None
 
@@ -164,9 +167,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         outcome = Outcome.COLLISION
     elif out_of_bounds_step is not None:
         outcome = Outcome.OUT_OF_BOUNDS
-    elif goal_step is not None and (
-        makes_progress(progress, needed) or not _stands_in_goal(task, states[-1], goal_step)
-    ):
+    elif goal_step is not None and (not waited or makes_progress(progress, needed)):
         outcome = Outcome.SUCCESS
     elif episode.end is EpisodeEnd.PLANNER_FAILURE:
         outcome = Outcome.PLANNER_FAILURE
@@ -307,7 +308,7 @@ def _not_driven(
     return Score(**key._asdict(), outcome=outcome, error=error, measures=measures)
 
 
-def _stands_in_goal(task: PlanningTask, state: FloatArray, step: int) -> bool:
+def _needs_no_drive(task: PlanningTask, state: FloatArray, step: int) -> bool:
     """Whether the goals that hold at a state are times alone, so that a standing ego has them."""
     centre = task.vehicle.centre(state)
     heading, velocity = float(state[EGO_HEADING]), float(state[EGO_VELOCITY])

@@ -53,6 +53,8 @@ def test_rebuilds_the_committed_files(tmp_path: Path) -> None:
         for row in rows:
             rebuilt = (out / row["file"]).read_bytes()
             assert rebuilt == (SCENARIOS / row["file"]).read_bytes(), row["id"]
+        for made in (out / "sumo-files").iterdir():
+            assert made.read_bytes() == (SCENARIOS / "sumo-files" / made.name).read_bytes()
         with (out / "manifest.csv").open(newline="", encoding="utf-8") as stream:
             assert list(csv.DictReader(stream)) == rows
         drives, committed = (

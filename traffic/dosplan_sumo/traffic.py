@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -45,9 +45,11 @@ EGO: Final = "dosplan-ego"
 SAME_PLACE: Final = 1.0
 """Farthest that SUMO's road users are from those of the file where both are the same scene, m.
 
-The suite's generator smooths what SUMO drives: by up to 0.3 m, and pedestrians, who leap sideways,
-by more.
+The suite's generator smooths what SUMO drives: by up to 0.4 m, and pedestrians, who leap sideways,
+by more. The bodies of its vehicles follow their front wheels, which SUMO's do not in a bend.
 """
+SAME_PLACE_PER_METRE: Final = 0.1
+"""What is added to that for each metre of length, m."""
 SAME_SIZE: Final = 0.02
 """Largest difference of their sizes, m."""
 FADING_STEPS: Final = 20
@@ -205,6 +207,7 @@ class SumoTraffic(Traffic):
         self._others: list[tuple[_Known, FloatArray]] = []
         self._seen: set[str] = set()
         self._walked: dict[int, FloatArray] = {}
+        self._put: dict[str, FloatArray] = {}
         recording = scenario.tracks
         self._free_id: int = max([0, *recording.ids.tolist()]) + 1
         self._number: dict[str, int] = {name: i for i, name in enumerate(self._demand.users)}
@@ -267,15 +270,19 @@ class SumoTraffic(Traffic):
         weight = max(0.0, 1.0 - elapsed / FADING_STEPS)
         rows = []
         for user in found:
+            if (put := self._put.pop(user.name, None)) is not None:
+                # What SUMO made of it on its lane, beside where it would be by its own speed.
+                way = user.state[USER_VELOCITY] * self._scenario.dt
+                shift = _difference(_along(put, way), user.state)
+                shift[USER_VELOCITY] = 0.0
+                self._known[user.name] = replace(self._known[user.name], shift=shift)
             known = self._known[user.name]
             state = user.state + weight * known.shift
             if user.walks:
                 state[:2] = self._walk(known.id, state)
             rows.append((known, state))
         for known, state in self._others:
-            way = state[USER_VELOCITY] * elapsed * self._scenario.dt
-            along = np.array([np.cos(state[USER_HEADING]), np.sin(state[USER_HEADING])])
-            rows.append((known, np.array([*(state[:2] + way * along), *state[2:]])))
+            rows.append((known, _along(state, state[USER_VELOCITY] * elapsed * self._scenario.dt)))
         return RoadUsers(
             ids=np.array([known.id for known, _ in rows], dtype=np.int64),
             kinds=tuple(known.kind for known, _ in rows),
@@ -418,21 +425,20 @@ class SumoTraffic(Traffic):
         """Whether SUMO shows the file's scene; if so, who is who is kept."""
         sumo = self._running.sumo
         left = list(users(sumo, self._ego, self._offset))
-        places = np.reshape([user.state[:2] for user in left], (-1, 2))
         sizes = np.reshape([_size(sumo, user) for user in left], (-1, 2))
+        fronts = np.reshape(
+            [_front(user.state, size) for user, size in zip(left, sizes, strict=True)], (-1, 2)
+        )
         found: dict[str, _Known] = {}
         for row in present:
             state, kind = past.states[row, -1], past.kinds[row]
-            gaps = np.hypot(*(places - state[:2]).T)
+            gaps = np.hypot(*(fronts - _front(state, past.size[row])).T)
             gaps[np.abs(sizes - past.size[row]).max(axis=1) > SAME_SIZE] = np.inf
             nearest = int(np.argmin(gaps)) if len(gaps) else -1
-            if nearest >= 0 and gaps[nearest] < SAME_PLACE and left[nearest].name not in found:
-                shift = state - left[nearest].state
-                turned = shift[USER_HEADING]
-                shift[USER_HEADING] = (turned + np.pi) % (2.0 * np.pi) - np.pi
-                found[left[nearest].name] = _Known(
-                    int(past.ids[row]), kind, tuple(past.size[row]), shift
-                )
+            reach = SAME_PLACE + SAME_PLACE_PER_METRE * past.size[row, 0]
+            if nearest >= 0 and gaps[nearest] < reach and left[nearest].name not in found:
+                shift = _difference(state, left[nearest].state)
+                found[left[nearest].name] = replace(_of(past, row), shift=shift)
             elif kind is RoadUserKind.STATIC:
                 self._others.append((_of(past, row), state))
             else:
@@ -464,6 +470,7 @@ class SumoTraffic(Traffic):
                     raise SumoError(f"SUMO does not take road user {past.ids[row]} where it starts")
                 sumo.vehicle.setPreviousSpeed(name, float(state[USER_VELOCITY]))
                 self._known[name] = _of(past, row)
+                self._put[name] = state
         self._seen = set(self._known)
 
     def _place(self, sumo: Any, past: Tracks, row: int) -> bool:
@@ -547,6 +554,28 @@ class SumoTraffic(Traffic):
 def _at(sumo: Any, name: str, front: FloatArray) -> bool:
     """Whether SUMO has a vehicle at a place."""
     return bool(np.hypot(*(np.array(sumo.vehicle.getPosition(name)) - front)) <= _EXACT)
+
+
+def _front(state: FloatArray, size: FloatArray) -> FloatArray:
+    """(2,) the middle of the front of who is in a state, m.
+
+    It is what SUMO leads along its lanes; how the body follows is another matter.
+    """
+    return front_of(state[:2], float(state[USER_HEADING]), float(size[0]))
+
+
+def _along(state: FloatArray, way: float) -> FloatArray:
+    """A state so many metres ahead."""
+    moved = state.copy()
+    moved[:2] += way * np.array([np.cos(state[USER_HEADING]), np.sin(state[USER_HEADING])])
+    return moved
+
+
+def _difference(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(4,) what is added to a state to get another, the short way round."""
+    shift = one - other
+    shift[USER_HEADING] = (shift[USER_HEADING] + np.pi) % (2.0 * np.pi) - np.pi
+    return np.asarray(shift)
 
 
 def _of(past: Tracks, row: int) -> _Known:

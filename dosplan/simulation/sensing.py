@@ -152,15 +152,13 @@ class Sensors:
         ]
         normal = np.stack([errors.standard_normal((self._steps, _ERRORS)) for errors, _ in streams])
         uniform = np.stack([gaps.random(self._steps) for _, gaps in streams])
-        self._errors = np.concatenate(
-            [self._errors, gauss_markov(normal, self._dt, settings.correlation)]
-        )
-        self._lost = np.concatenate(
-            [
-                self._lost,
-                gaps_of(uniform, self._dt, settings.dropout_rate, settings.dropout_duration),
-            ]
-        )
+        errors = gauss_markov(normal, self._dt, settings.correlation)
+        lost = gaps_of(uniform, self._dt, settings.dropout_rate, settings.dropout_duration)
+        # Walls and barriers stand on the map: what is seen of them is their true place.
+        scenery = np.array([kind is RoadUserKind.STATIC for kind in kinds])
+        errors[scenery], lost[scenery] = 0.0, False
+        self._errors = np.concatenate([self._errors, errors])
+        self._lost = np.concatenate([self._lost, lost])
 
 
 def gauss_markov(noise: FloatArray, dt: float, correlation: float) -> FloatArray:

@@ -24,7 +24,8 @@ class SensingSettings:
     """What the ego sees of the other road users, and how well. It knows its own state exactly.
 
     An error is a first-order Gauss-Markov process, as the errors of a tracker go on from one moment
-    to the next: its correlation falls to 1/e in ``correlation``.
+    to the next: its correlation falls to 1/e in ``correlation``. Scenery (``RoadUserKind.STATIC``)
+    has neither errors nor drop-outs: the figures are those of road users, and walls are on the map.
 
     Attributes:
         position: Standard deviation of the error of a centre along x and along y, m.

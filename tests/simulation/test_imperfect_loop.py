@@ -287,6 +287,19 @@ def test_what_cannot_move_has_no_speed() -> None:
     assert speeds[1] != 0.0
 
 
+def test_scenery_is_where_it_is() -> None:
+    kinds = (RoadUserKind.STATIC, RoadUserKind.PARKED)
+    tracks = steady_tracks([[9.0, 0.0, 0.1, 0.0], [30.0, 0.0, 0.1, 0.0]], kinds=kinds, steps=300)
+    sensing = replace(REALISTIC.sensing, dropout_rate=1.0, memory=0.0)
+    sensors = Sensors(sensing, 0.1, 300, scenario="x")
+    for step in range(300):
+        sensors.look(step, np.zeros(2), users_at(tracks, step))
+        ids, _, size, states, _ = sensors.seen(step, 1)
+        assert ids[0] == 100
+        np.testing.assert_array_equal(states[0, -1], tracks.states[0, step])
+        np.testing.assert_array_equal(size[0], tracks.size[0])
+
+
 def _errors_seen(
     scenario: Scenario, episode: Any, tracks: Any
 ) -> dict[tuple[int, int], FloatArray]:

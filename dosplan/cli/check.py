@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import threading
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dosplan.cli.arguments import PLUGIN_HELP, add_json, show
@@ -16,12 +17,24 @@ if TYPE_CHECKING:
 class CheckCommand:
     """Checks that a plug-in keeps the contract."""
 
-    summary = "check that a planner or predictor keeps the contract"
+    summary = "check that a planner, predictor or traffic keeps the contract"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declares the arguments."""
         add_json(parser)
         parser.add_argument("name", metavar="NAME", help=PLUGIN_HELP)
+        parser.add_argument(
+            "--kind",
+            choices=("planner", "predictor", "traffic"),
+            help="what it is, where plug-ins of several kinds have the name",
+        )
+        parser.add_argument(
+            "--scenario",
+            type=Path,
+            metavar="FILE",
+            help="drive a traffic there, where it needs more than a scene built in code, such as "
+            "the files of a simulator",
+        )
         parser.add_argument(
             "--timeout",
             type=float,
@@ -37,15 +50,16 @@ class CheckCommand:
             0; 1 where a check failed.
 
         Raises:
-            CommandError: The time-out is not positive.
+            CommandError: The time-out is not positive, or the options do not go together.
             RegistryError: There is no such plug-in.
+            ScenarioError: The scenario cannot be read.
             FileError: A file cannot be written.
         """
         from dosplan.report.tables import table
 
         if not 0.0 < options.timeout < threading.TIMEOUT_MAX:
             raise CommandError(f"--timeout is {options.timeout:g}; it must be a time above 0 s")
-        report = _report(options.name, options.timeout)
+        report = _report(options)
         rows = [
             [check.name, "ok" if check.ok else "FAILED", check.message] for check in report.checks
         ]
@@ -60,17 +74,24 @@ class CheckCommand:
         return OK if report.ok else FAILED
 
 
-def _report(spec: str, limit: float) -> Report:
-    """The checks of a planner or predictor, whichever has the name."""
+def _report(options: argparse.Namespace) -> Report:
+    """The checks of a planner, predictor or traffic, whichever has the name."""
     from dosplan.plugins.isolated import check_isolated
     from dosplan.plugins.registry import PluginKind, RegistryError, list_plugins
 
-    kinds = (PluginKind.PLANNER, PluginKind.PREDICTOR)
+    spec, scenario = options.name, options.scenario
+    word = options.kind or ("traffic" if scenario is not None else None)
+    if scenario is not None and word != "traffic":
+        raise CommandError(f"--scenario is for traffic, not for a {word}")
+    kinds = [kind for kind in PluginKind if word in (None, kind.word)]
     named = [k for k in kinds if spec in {plugin.name for plugin in list_plugins(k)}]
+    if len(named) > 1:
+        words = " and ".join(f"a {kind.word}" for kind in named)
+        raise CommandError(f"{spec} is {words}; say which one is meant, with --kind")
     complaints = []
     for kind in named or kinds:
         try:
-            return check_isolated(kind, spec, limit)
+            return check_isolated(kind, spec, options.timeout, scenario)
         except RegistryError as error:
             if error.__cause__ is not None:  # What cannot be imported is no other kind, either.
                 raise

@@ -18,18 +18,21 @@ _EXAMPLES: Final = """\
 examples:
   dosplan new planner careful                    writes careful.py, with class CarefulPlanner
   dosplan new predictor straight --out mine      writes mine/straight.py
+  dosplan new traffic hasty                      writes hasty.py, with class HastyTraffic
 """
 
 
 class NewCommand:
     """Writes the template of a plug-in."""
 
-    summary = "write a planner or predictor to begin with: one file that works"
+    summary = "write a planner, predictor or traffic to begin with: one file that works"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declares the arguments."""
         parser.epilog = _EXAMPLES
-        parser.add_argument("kind", choices=("planner", "predictor"), help="what to write")
+        parser.add_argument(
+            "kind", choices=("planner", "predictor", "traffic"), help="what to write"
+        )
         parser.add_argument("name", metavar="NAME", help="its name, such as careful or my_idea")
         parser.add_argument(
             "--out",

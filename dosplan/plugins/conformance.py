@@ -1,6 +1,6 @@
 """Checks that a plug-in keeps the contract of ``dosplan.api``: what ``dosplan check`` runs.
 
-Every check is a function that returns when the plug-in is right and raises ``_BrokenError``
+Every check is a function that returns when the plug-in is right and raises ``BrokenError``
 with what to fix when it is not. Anything else that a plug-in raises breaks the check as well.
 The scenes are built in code (``dosplan.scenario.synthetic``); no file is read.
 """
@@ -39,7 +39,7 @@ MODEL_TOLERANCE = 0.05  # m, rad and m/s between a plan's states and those of th
 INPUT_TOLERANCE = 0.05  # rad/s and m/s2 beyond what the actuators deliver.
 
 
-class _BrokenError(Exception):
+class BrokenError(Exception):
     """A broken rule; the message says what to fix."""
 
 
@@ -83,7 +83,7 @@ class Report:
 
 
 @dataclass(frozen=True)
-class _Rule:
+class Rule:
     """A check that is still to be made.
 
     Attributes:
@@ -113,8 +113,8 @@ class Contract:
 
     plugin: str
     made_by: type[Any]
-    first: tuple[_Rule, ...]
-    then: tuple[_Rule, ...]
+    first: tuple[Rule, ...]
+    then: tuple[Rule, ...]
 
     def check(self, name: str) -> Check:
         """Makes one check.
@@ -128,7 +128,7 @@ class Contract:
         (rule,) = (rule for rule in (*self.first, *self.then) if rule.name == name)
         try:
             rule.holds()
-        except _BrokenError as broken:
+        except BrokenError as broken:
             return Check(name, False, str(broken))
         except (Exception, SystemExit) as error:
             writes = "read-only" in str(error)
@@ -195,7 +195,7 @@ def planner_contract(plugin: type[Planner] | PluginSpec[Planner]) -> Contract:
 
     def build() -> Planner:
         if not issubclass(made_by, Planner):
-            raise _BrokenError("is no dosplan.api.Planner; inherit from it")
+            raise BrokenError("is no dosplan.api.Planner; inherit from it")
         return _chosen(plugin).build(SEED)
 
     def drive(scenario: Scenario, **options: Any) -> Trace:
@@ -205,14 +205,14 @@ def planner_contract(plugin: type[Planner] | PluginSpec[Planner]) -> Contract:
         _name(made_by),
         made_by,
         (
-            _Rule("constructs", build),
-            _Rule("plans", lambda: drive(busy_scenario())),
+            Rule("constructs", build),
+            Rule("plans", lambda: drive(busy_scenario())),
         ),
         (
             *_common_rules(build, drive, drive_planner),
-            _Rule("arms_agree_without_predictions", lambda: _arms_agree(drive)),
-            _Rule("vehicle_model", lambda: _follows_model(drive(busy_scenario()))),
-            _Rule("actuator_limits", lambda: _within_limits(drive(busy_scenario()))),
+            Rule("arms_agree_without_predictions", lambda: _arms_agree(drive)),
+            Rule("vehicle_model", lambda: _follows_model(drive(busy_scenario()))),
+            Rule("actuator_limits", lambda: _within_limits(drive(busy_scenario()))),
         ),
     )
 
@@ -230,7 +230,7 @@ def predictor_contract(plugin: type[Predictor] | PluginSpec[Predictor]) -> Contr
 
     def build(horizon: int = HORIZON) -> Predictor:
         if not issubclass(made_by, Predictor):
-            raise _BrokenError("is no dosplan.api.Predictor; inherit from it")
+            raise BrokenError("is no dosplan.api.Predictor; inherit from it")
         chosen = _chosen(plugin)
         settings = replace(chosen.settings, horizon=horizon)
         return replace(chosen, settings=settings).build(SEED)
@@ -242,12 +242,12 @@ def predictor_contract(plugin: type[Predictor] | PluginSpec[Predictor]) -> Contr
         _name(made_by),
         made_by,
         (
-            _Rule("constructs", build),
-            _Rule("predicts", lambda: drive(busy_scenario())),
+            Rule("constructs", build),
+            Rule("predicts", lambda: drive(busy_scenario())),
         ),
         (
             *_common_rules(build, drive, drive_predictor),
-            _Rule(
+            Rule(
                 "one_step_horizon",
                 lambda: drive_predictor(build(1), busy_scenario()),
                 "predict as many steps as self.horizon says",
@@ -266,46 +266,54 @@ def _name(plugin: type[Any]) -> str:
 
 def _common_rules(
     build: Callable[[], Planner | Predictor], drive: _Drive, drive_one: _Drive
-) -> tuple[_Rule, ...]:
+) -> tuple[Rule, ...]:
     return (
-        _Rule("versioned_name", lambda: _versioned(build())),
-        _Rule("deterministic", lambda: _deterministic(drive)),
-        _Rule("reset_forgets", lambda: _forgets(build(), drive, drive_one)),
-        _Rule("future_unseen", lambda: _sees_no_future(build(), drive)),
-        _Rule("input_untouched", lambda: _keeps_input(drive(busy_scenario()))),
-        _Rule(
+        Rule("versioned_name", lambda: check_version(build())),
+        Rule("deterministic", lambda: _deterministic(drive)),
+        Rule("reset_forgets", lambda: _forgets(build(), drive, drive_one)),
+        Rule("future_unseen", lambda: _sees_no_future(build(), drive)),
+        Rule("input_untouched", lambda: _keeps_input(drive(busy_scenario()))),
+        Rule(
             "no_road_users",
             lambda: drive(straight_scenario()),
             "where no road user is on the scene, the arrays of road users have no rows",
         ),
-        _Rule(
+        Rule(
             "many_road_users",
             lambda: _copes(drive),
             "take any number of road users; here they are fifty",
         ),
-        _Rule(
+        Rule(
             "short_history",
             lambda: drive(busy_scenario(), visible=1),
             "where Observation.valid is False, the past of a road user is NaN",
         ),
-        _Rule("time", lambda: _in_time(drive(busy_scenario()))),
+        Rule("time", lambda: _in_time(drive(busy_scenario()))),
     )
 
 
 # Checks.
 
 
-def _versioned(plugin: Planner | Predictor) -> None:
+def check_version(plugin: object) -> None:
+    """Checks that a plug-in has a name with a version.
+
+    Args:
+        plugin: The plug-in.
+
+    Raises:
+        BrokenError: It has none.
+    """
     name = getattr(plugin, "name", None)
     if not isinstance(name, str) or not re.fullmatch(r"\S+-v\d+", name):
-        raise _BrokenError(
+        raise BrokenError(
             f"name is {name!r}; results are kept by name, so give it a version: 'my-idea-v1'"
         )
 
 
 def _deterministic(drive: _Drive) -> None:
     if changed := changed_fields(drive(busy_scenario()), drive(busy_scenario())):
-        raise _BrokenError(
+        raise BrokenError(
             f"two instances with the same seed differ in {', '.join(changed)}; draw every "
             "random number from a generator made from seed"
         )
@@ -314,7 +322,7 @@ def _deterministic(drive: _Drive) -> None:
 def _forgets(used: Planner | Predictor, drive: _Drive, drive_one: _Drive) -> None:
     drive_one(used, busy_scenario(velocity=4.0))
     if changed := changed_fields(drive(busy_scenario()), drive_one(used, busy_scenario())):
-        raise _BrokenError(
+        raise BrokenError(
             f"after another episode, a scene gives another {', '.join(changed)}; "
             "prepare() must clear what an episode left behind"
         )
@@ -325,7 +333,7 @@ def _sees_no_future(plugin: Planner | Predictor, drive: _Drive) -> None:
         return
     scenario = busy_scenario()
     if changed := changed_fields(drive(scenario), drive(another_future(scenario))):
-        raise _BrokenError(
+        raise BrokenError(
             f"with another future, the same past gives another {', '.join(changed)}; use nothing "
             "but what it is handed, or be a dosplan.api.OraclePredictor"
         )
@@ -333,7 +341,7 @@ def _sees_no_future(plugin: Planner | Predictor, drive: _Drive) -> None:
 
 def _keeps_input(trace: Trace) -> None:
     if trace.touched:
-        raise _BrokenError(
+        raise BrokenError(
             f"changed {', '.join(sorted(set(trace.touched)))}; work on copies of what it is handed"
         )
 
@@ -346,7 +354,7 @@ def _copes(drive: _Drive) -> None:
 def _in_time(trace: Trace) -> None:
     median = float(np.median(trace.seconds))
     if median > SLOW_SECONDS:
-        raise _BrokenError(
+        raise BrokenError(
             f"a call takes {median:.2f} s (median of {len(trace.seconds)}), more than "
             f"{SLOW_SECONDS:g} s; move what does not change to prepare()"
         )
@@ -360,7 +368,7 @@ def _arms_agree(drive: _Drive) -> None:
     with_sets = drive(busy_scenario(), sets=no_prediction)
     without = drive(busy_scenario(), sets=lambda *args: no_prediction(*args).without_sets())
     if changed := changed_fields(with_sets, without):
-        raise _BrokenError(
+        raise BrokenError(
             f"with no road user predicted, the two arms differ in {', '.join(changed)}; leave out "
             "road users and steps where Occupancy.valid is False"
         )
@@ -375,7 +383,7 @@ def _follows_model(trace: Trace) -> None:
             state = vehicle.step(state, u, dt)
             gap = float(np.max(np.abs(planned - state)))
             if gap > MODEL_TOLERANCE:
-                raise _BrokenError(
+                raise BrokenError(
                     f"Plan.states are {gap:.2g} away from what Plan.inputs lead to at step "
                     f"{step + 1}; make them with VehicleParameters.step"
                 )
@@ -389,7 +397,7 @@ def _within_limits(trace: Trace) -> None:
         excess = np.abs(possible - plan.inputs).max(axis=1)
         if np.any(excess > INPUT_TOLERANCE):
             step = int(np.argmax(excess > INPUT_TOLERANCE))
-            raise _BrokenError(
+            raise BrokenError(
                 f"Plan.inputs ask at step {step} for {excess[step]:.2g} more than the vehicle "
                 "can do; limit them with VehicleParameters.clip_input"
             )

@@ -7,6 +7,7 @@ checks go on in a new process.
 from __future__ import annotations
 
 from functools import lru_cache
+from pathlib import Path
 
 from pebble import ProcessExpired
 
@@ -17,29 +18,36 @@ from dosplan.plugins.conformance import (
     planner_contract,
     predictor_contract,
 )
-from dosplan.plugins.registry import PluginKind, find_planner, find_predictor
+from dosplan.plugins.registry import PluginKind, find_plugin
+from dosplan.plugins.traffic_conformance import traffic_contract
+from dosplan.scenario import load_scenario
 from dosplan.system.workers import cause_of_death, worker_pool
 
 
-def check_isolated(kind: PluginKind, spec: str, limit: float) -> Report:
+def check_isolated(
+    kind: PluginKind, spec: str, limit: float, scenario: Path | None = None
+) -> Report:
     """Checks a plug-in.
 
     Args:
         kind: What it is.
         spec: As for ``dosplan.plugins.registry.find_planner``.
         limit: Time after which a check counts as hung, s.
+        scenario: File of the scenario that a traffic is checked on; scenes built in code by
+            default.
 
     Returns:
         The report; nothing is raised for a plug-in that breaks the contract.
 
     Raises:
         RegistryError: It cannot be found or loaded.
+        ScenarioError: The scenario cannot be read.
     """
-    contract = _contract(kind, spec)
+    contract = _contract(kind, spec, scenario)
     with worker_pool(1) as pool:
 
         def check(name: str) -> Check:
-            future = pool.schedule(_check, (kind, spec, name), timeout=limit)
+            future = pool.schedule(_check, (kind, spec, scenario, name), timeout=limit)
             try:
                 return future.result()
             except TimeoutError:
@@ -52,17 +60,18 @@ def check_isolated(kind: PluginKind, spec: str, limit: float) -> Report:
         return contract.report(check)
 
 
-def _check(kind: PluginKind, spec: str, name: str) -> Check:
-    return _kept_contract(kind, spec).check(name)
+def _check(kind: PluginKind, spec: str, scenario: Path | None, name: str) -> Check:
+    return _kept_contract(kind, spec, scenario).check(name)
 
 
 @lru_cache(maxsize=1)
-def _kept_contract(kind: PluginKind, spec: str) -> Contract:
+def _kept_contract(kind: PluginKind, spec: str, scenario: Path | None) -> Contract:
     """In the process of the checks: a plug-in is loaded there once, not for every check."""
-    return _contract(kind, spec)
+    return _contract(kind, spec, scenario)
 
 
-def _contract(kind: PluginKind, spec: str) -> Contract:
-    if kind is PluginKind.PLANNER:
-        return planner_contract(find_planner(spec))
-    return predictor_contract(find_predictor(spec))
+def _contract(kind: PluginKind, spec: str, scenario: Path | None) -> Contract:
+    plugin = find_plugin(kind, spec)
+    if kind is PluginKind.TRAFFIC:
+        return traffic_contract(plugin, None if scenario is None else load_scenario(scenario))
+    return planner_contract(plugin) if kind is PluginKind.PLANNER else predictor_contract(plugin)

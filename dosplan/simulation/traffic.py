@@ -164,7 +164,8 @@ class Traffic(ABC):
             step: The step that is reached: ``first_step + 1``, then one more in each call.
             ego: (K + 1, 5) ego states from its start to this step. Its last row is where the ego
                 is after this step. A road user that decides at the same time as the ego, and does
-                not know its move, may use the rows before only.
+                not know its move, may use the rows before only. A single row is an ego that stays
+                where it is.
 
         Returns:
             The road users on the scene at that step.

@@ -11,12 +11,22 @@ from dosplan_simple.predictors import NonePredictor
 from dosplan.cli.command import BAD_INPUT, OK
 from dosplan.cli.main import main
 from dosplan.plugins.conformance import check_planner, check_predictor
-from dosplan.plugins.registry import RegistryError, create_planner, find_planner, find_predictor
+from dosplan.plugins.registry import (
+    PluginKind,
+    RegistryError,
+    create_planner,
+    create_traffic,
+    find_plugin,
+)
+from dosplan.plugins.traffic_conformance import check_traffic
 from dosplan.results.rows import read_rows
+from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.simulation.loop import run_episode
-from dosplan.types import EGO_VELOCITY, EGO_X, Arm, LightColour, Outcome, StopCause
+from dosplan.simulation.world import World
+from dosplan.types import EGO_VELOCITY, EGO_X, USER_VELOCITY, Arm, LightColour, Outcome, StopCause
 from tests.support.factories import ruled_scenario, stop_at
 from tests.support.scenes import Goal, Problem, rectangle, write_scenario_xml
+from tests.support.traffic import braking_before
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -36,6 +46,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ("planner", "near_planner", "NearPlanner"),
         ("predictor", "straight", "StraightPredictor"),
         ("predictor", "settings", "SettingsPredictor"),
+        ("traffic", "hasty", "HastyTraffic"),
     ],
 )
 def test_what_is_written_passes_the_check(
@@ -49,11 +60,8 @@ def test_what_is_written_passes_the_check(
     monkeypatch.chdir(tmp_path)
     assert main(["new", kind, name]) == OK
     spec = f"{name}.py:{class_name}"
-    report = (
-        check_planner(find_planner(spec))
-        if kind == "planner"
-        else check_predictor(find_predictor(spec))
-    )
+    check = {"planner": check_planner, "predictor": check_predictor, "traffic": check_traffic}
+    report = check[kind](find_plugin(PluginKind[kind.upper()], spec))
     assert report.failures == ()
     assert report.plugin == f"{name.replace('_', '-')}-v1"
     assert "$" not in Path(f"{name}.py").read_text(encoding="utf-8")
@@ -150,3 +158,21 @@ def test_a_folder_that_cannot_be_made_is_named(
     file.touch()
     line = refusal(capsys, "planner", "mine", "--out", str(file / "folder"))
     assert f"cannot write {file / 'folder' / 'mine.py'}: Not a directory" in line
+
+
+def test_traffic_that_is_written_reacts_and_has_futures(tmp_path: Path) -> None:
+    assert main(["new", "traffic", "mine", "--out", str(tmp_path)]) == OK
+    spec = f"{tmp_path}/mine.py:MineTraffic"
+    episode = braking_before(create_traffic(spec, 0))
+    assert episode.tracks.states[0, -1, USER_VELOCITY] == 0.0
+    ways = {way_of(spec, future) for future in range(6)}
+    assert len(ways) > 2
+
+
+def way_of(spec: str, future: int) -> float:
+    """Where somebody is in the end who is far from the ego."""
+    scenario = straight_scenario(steady_tracks([[-100.0, 0.0, 0.0, 8.0]]))
+    world = World(scenario, create_traffic(spec, 0, future=future))
+    for _ in range(50):
+        world.wait()
+    return float(world.observation().states[0, -1, 0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -182,3 +183,13 @@ def test_an_empty_road_has_futures() -> None:
 def test_intentions_out_of_range_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match=next(iter(wrong))):
         Intentions(**wrong)
+
+
+@pytest.mark.parametrize("settings", [ReactiveSettings(), Intentions()])
+def test_the_documentation_has_every_setting_with_its_default(settings: object) -> None:
+    page = Path(__file__).parents[3] / "docs" / "traffic.md"
+    rows = [line.split("|") for line in page.read_text(encoding="utf-8").splitlines()]
+    shown = {row[1].split("`")[1]: row[3].strip() for row in rows if len(row) > 4 and "`" in row[1]}
+    for field in fields(settings):  # type: ignore[arg-type]
+        if field.name != "intentions":
+            assert shown[field.name] == str(getattr(settings, field.name))

@@ -61,10 +61,15 @@ LONGEST_SEARCH: Final = 600.0
 NEAREST: Final = 20.0
 """Nobody whom the file does not know is this near to the ego's start, m."""
 SLIDING: Final = 1.0
-"""Speed beyond its own at which a pedestrian comes to where SUMO has it, m/s.
+"""Speed beyond its own at which somebody comes to where SUMO has it, m/s.
 
-In SUMO pedestrians leap sideways, by a metre and more.
+In SUMO pedestrians leap sideways, and so do vehicles where a lane ends on which they are not in the
+middle, by a metre and more.
 """
+SIDEWAYS: Final = 2.0
+"""The same of vehicles across their heading, m/s."""
+SIDEWAYS_PER_SPEED: Final = 0.2
+"""What is added to that for each m/s of speed: the heading is that of the lane at two places."""
 STANDING: Final = 0.1
 """Velocity up to which somebody stands, m/s."""
 _EXACT: Final = 1e-3
@@ -206,7 +211,7 @@ class SumoTraffic(Traffic):
         self._known: dict[str, _Known] = {}
         self._others: list[tuple[_Known, FloatArray]] = []
         self._seen: set[str] = set()
-        self._walked: dict[int, FloatArray] = {}
+        self._before: dict[int, FloatArray] = {}
         self._put: dict[str, FloatArray] = {}
         recording = scenario.tracks
         self._free_id: int = max([0, *recording.ids.tolist()]) + 1
@@ -236,7 +241,7 @@ class SumoTraffic(Traffic):
         self._lights = Lights(sumo, self._lanes, scenario, self._offset, first_step)
         past = self._with_more(past)
         for row in np.flatnonzero(past.valid[:, -1]):
-            self._walked[int(past.ids[row])] = past.states[row, -1, :2]
+            self._before[int(past.ids[row])] = past.states[row, -1, :2]
         return past
 
     def step(self, step: int, ego: FloatArray) -> RoadUsers:
@@ -278,8 +283,7 @@ class SumoTraffic(Traffic):
                 self._known[user.name] = replace(self._known[user.name], shift=shift)
             known = self._known[user.name]
             state = user.state + weight * known.shift
-            if user.walks:
-                state[:2] = self._walk(known.id, state)
+            state[:2] = self._slid(known.id, state, user.walks)
             rows.append((known, state))
         for known, state in self._others:
             rows.append((known, _along(state, state[USER_VELOCITY] * elapsed * self._scenario.dt)))
@@ -514,15 +518,23 @@ class SumoTraffic(Traffic):
                     )
         return found
 
-    def _walk(self, walker: int, state: FloatArray) -> FloatArray:
-        """(2,) where a pedestrian is, that slides to where SUMO has it."""
-        before = self._walked.get(walker, state[:2])
-        reach = (state[USER_VELOCITY] + SLIDING) * self._scenario.dt
+    def _slid(self, name: int, state: FloatArray, walks: bool) -> FloatArray:
+        """(2,) where somebody is, that slides to where SUMO has it."""
+        before = self._before.get(name, state[:2])
         way = state[:2] - before
-        length = float(np.hypot(*way))
-        place = state[:2] if length <= reach else before + way * (reach / length)
-        self._walked[walker] = place
-        return np.array(place)
+        own, dt = state[USER_VELOCITY], self._scenario.dt
+        if walks:
+            length, reach = float(np.hypot(*way)), (own + SLIDING) * dt
+            way = way if length <= reach else way * (reach / length)
+        else:
+            ahead = np.array([np.cos(state[USER_HEADING]), np.sin(state[USER_HEADING])])
+            aside = np.array([-ahead[1], ahead[0]])
+            most = (SIDEWAYS + SIDEWAYS_PER_SPEED * own) * dt
+            way = ahead * np.clip(way @ ahead, -SLIDING * dt, (own + SLIDING) * dt) + (
+                aside * np.clip(way @ aside, -most, most)
+            )
+        self._before[name] = before + way
+        return np.asarray(before + way)
 
     def _id(self, name: str) -> int:
         """A number for somebody whom the file does not know, the same whatever the ego does.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from tests.support.sumo import ZEBRA, interactive_folder, suite_file
 
 libsumo = pytest.importorskip("libsumo", reason="needs dosplan[sumo]")
 
+from dosplan_sumo.scene import User, users  # noqa: E402
 from dosplan_sumo.simulator import SumoError  # noqa: E402
 from dosplan_sumo.traffic import SumoTraffic  # noqa: E402
 
@@ -99,6 +101,44 @@ def test_the_scene_at_the_start_is_that_of_the_file(traffic: SumoTraffic) -> Non
     for row in np.flatnonzero(scenario.tracks.valid[:, : start + 1].any(axis=1)):
         (there,) = np.flatnonzero(past.ids == scenario.tracks.ids[row])
         np.testing.assert_array_equal(past.states[there], scenario.tracks.states[row, : start + 1])
+
+
+@pytest.mark.parametrize("walks", [True, False])
+def test_who_leaps_sideways_in_sumo_slides_there(
+    walks: bool, traffic: SumoTraffic, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def leaping(*args: object) -> Iterator[User]:
+        for user in users(*args):  # type: ignore[arg-type]
+            heading = user.state[2]
+            aside = 3.0 * np.array([-np.sin(heading), np.cos(heading)])
+            state = user.state + np.array([*aside, 0.0, 0.0]) * (user.walks is walks)
+            yield replace(user, state=state)
+
+    scenario, drive = _recorded_drive(ZEBRA)
+    plain = _drive(traffic, scenario, drive[:40])
+    start = scenario.task.start_step
+    begun = traffic.begin(scenario, start)
+    monkeypatch.setattr("dosplan_sumo.traffic.users", leaping)
+    states = [np.array(scenario.task.start)]
+    places: dict[int, list[FloatArray]] = {
+        int(i): [s] for i, s in zip(begun.ids, begun.states[:, -1], strict=True)
+    }
+    for step, (x, y, heading, velocity) in enumerate(drive[:40], start=start + 1):
+        states.append(scenario.task.vehicle.state_at(np.array([x, y]), heading, velocity, 0.0))
+        users_now = traffic.step(step, np.stack(states))
+        for user, state in zip(users_now.ids, users_now.states, strict=True):
+            places.setdefault(int(user), []).append(state)
+    kinds = dict(zip(plain.ids.tolist(), plain.kinds, strict=True))
+    moved = []
+    for user, rows in places.items():
+        if (kinds[user] is RoadUserKind.PEDESTRIAN) is not walks or len(rows) < 41:
+            continue
+        way = np.hypot(*np.diff(np.stack(rows)[:, :2], axis=0).T)
+        assert np.all(way < 0.1 * (1.25 * np.stack(rows)[1:, 3] + 2.5)), user
+        (row,) = np.flatnonzero(plain.ids == user)
+        moved.append(np.hypot(*(rows[-1][:2] - plain.states[row, -1, :2])))
+    assert moved
+    assert max(moved) == pytest.approx(3.0, abs=0.3)
 
 
 def test_the_others_brake_for_the_ego(traffic: SumoTraffic) -> None:

@@ -37,6 +37,7 @@ RIDERS: Final = VEHICLES | {RoadUserKind.BICYCLE}
 _BACK: Final = 0.05  # Way of a step backwards of who drives backwards, m.
 _OFTEN: Final = 10  # Number of such steps.
 _SWING: Final = 1.0  # The most that a front swings out in a bend, m.
+_LONG: Final = 10  # Steps of a standstill: a second.
 _LONGEST: Final = 500  # Points of a path; what is driven beyond is not looked at.
 
 
@@ -170,15 +171,16 @@ class Paths:
     def _standstills(self) -> IntArray:
         n, steps = self.arc.shape
         until = np.tile(np.arange(steps), (n, 1))
-        for row in range(n):
-            arc, last = self.arc[row], int(self.last[row])
-            step = int(self.first[row])
-            while step <= last:
-                end = int(np.searchsorted(arc[: last + 1], arc[step] + STANDING, side="right")) - 1
-                if end - step >= 10:  # A second or more.
-                    until[row, step : end + 1] = end
-                    step = end
-                step += 1
+        for row in np.flatnonzero(self.last > self.first):
+            first, last = int(self.first[row]), int(self.last[row])
+            arc = self.arc[row, : last + 1]
+            ends = np.searchsorted(arc, arc[first:] + STANDING, side="right") - 1
+            begun = first + np.flatnonzero(ends - np.arange(first, last + 1) >= _LONG)
+            done = -1
+            for step in begun.tolist():
+                if step > done:
+                    done = int(ends[step - first])
+                    until[row, step : done + 1] = done
         return until
 
     def _sample(self) -> None:

@@ -220,22 +220,15 @@ class SumoTraffic(Traffic):
         self._centre = vehicle.centre(scenario.task.start)
 
         start, ego = self._begins(files, net_offset)
-        simulation = self._simulation = self._started(files)
-        while simulation.time < start - 1.5 * scenario.dt:
-            simulation.step()
-        sumo = simulation.sumo
-        self._lanes = Lanes(sumo)
-        self._offset = self._lanes.offset(scenario.road_map, net_offset)
-        self._ego = ego if ego in sumo.vehicle.getIDList() else EGO
-        if self._ego != EGO:
-            self._prepare_ego(sumo)
-        self._put_ego(sumo, scenario.task.start)
-        simulation.step()
-        self._settle_ego(sumo, scenario.task.start)
         past = Replay().begin(scenario, first_step)
         present = np.flatnonzero(past.valid[:, -1])
+        self._drive_until(start, files, net_offset, ego)
+        self._start_ego()
         if not self._recognised(past, present):
+            self._running.close()  # For the step in which the file's scene is made.
+            self._drive_until(start, files, net_offset, ego)
             self._rebuild(past, present)
+        sumo = self._running.sumo
         for user in users(sumo, self._ego, self._offset):
             self._draw(sumo, user.name, user.walks)
         self._lights = Lights(sumo, self._lanes, scenario, self._offset, first_step)
@@ -243,6 +236,27 @@ class SumoTraffic(Traffic):
         for row in np.flatnonzero(past.valid[:, -1]):
             self._before[int(past.ids[row])] = past.states[row, -1, :2]
         return past
+
+    def _drive_until(
+        self, start: float, files: SumoFiles, net_offset: FloatArray, ego: str
+    ) -> None:
+        """Drives a new simulation up to the step before the ego's start."""
+        simulation = self._simulation = self._started(files)
+        while simulation.time < start - 1.5 * self._scenario.dt:
+            simulation.step()
+        sumo = simulation.sumo
+        self._lanes = Lanes(sumo)
+        self._offset = self._lanes.offset(self._scenario.road_map, net_offset)
+        self._ego = ego if ego in sumo.vehicle.getIDList() else EGO
+        if self._ego != EGO:
+            self._prepare_ego(sumo)
+
+    def _start_ego(self) -> None:
+        """Drives the step at whose end the ego is at its start."""
+        simulation, start = self._running, self._scenario.task.start
+        self._put_ego(simulation.sumo, start)
+        simulation.step()
+        self._settle_ego(simulation.sumo, start)
 
     def step(self, step: int, ego: FloatArray) -> RoadUsers:
         """Drives SUMO a step, in which nobody knows yet where the ego goes.
@@ -455,7 +469,7 @@ class SumoTraffic(Traffic):
     def _rebuild(self, past: Tracks, present: Iterable[int]) -> None:
         """Puts the file's road users into SUMO, instead of those who are near in it."""
         simulation = self._running
-        sumo, scenario = simulation.sumo, self._scenario
+        sumo = simulation.sumo
         away = np.hypot(*(past.states[list(present), -1, :2] - self._centre).T)
         radius = max(NEAREST, *away.tolist())
         with simulation.failures():
@@ -463,9 +477,7 @@ class SumoTraffic(Traffic):
                 if np.hypot(*(user.state[:2] - self._centre)) <= radius:
                     (sumo.person if user.walks else sumo.vehicle).remove(user.name)
             placed = [row for row in present if self._place(sumo, past, row)]
-        self._put_ego(sumo, scenario.task.start)
-        simulation.step()
-        self._settle_ego(sumo, scenario.task.start)
+        self._start_ego()
         with simulation.failures():
             for row in placed:
                 name, state = f"cr-{past.ids[row]}", past.states[row, -1]

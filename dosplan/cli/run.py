@@ -34,6 +34,7 @@ examples:
   dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
   dosplan run --predictor dos --set predictor.base=constant-velocity
   dosplan run --predictor ground-truth --unranked
+  dosplan run my/interactive --traffic sumo      SUMO drives the others, who see the ego
   dosplan run --loop realistic                   late, noisy and partly blind, as on a car
   dosplan run --set loop.period=0.5 --set loop.latency=0.3
   dosplan run --quiet --json > figures.json      for scripts

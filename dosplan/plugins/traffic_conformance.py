@@ -63,6 +63,7 @@ class _Watched(Traffic):
     def __init__(self, traffic: Traffic) -> None:
         super().__init__(seed=traffic.seed, future=traffic.future)
         self._traffic = traffic
+        vars(self)["refuses"] = traffic.refuses  # Of its class, which this one stands for.
         self.past: Tracks | None = None
         self.users: list[RoadUsers] = []
         self.seconds: list[float] = []

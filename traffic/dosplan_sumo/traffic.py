@@ -201,7 +201,7 @@ class SumoTraffic(Traffic):
         """
         self.close()
         if scenario.sumo is None:
-            raise SumoError(f"{scenario.id} has no files of SUMO")
+            raise SumoError(f"{scenario.id} {self.refuses(scenario)}")
         self._scenario, self._first_step = scenario, first_step
         files = read_configuration(scenario.sumo)
         net_offset = read_offset(files.net)

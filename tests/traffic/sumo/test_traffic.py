@@ -12,6 +12,7 @@ import pytest
 import shapely
 
 from dosplan.geometry import rectangle_corners
+from dosplan.plugins.traffic_conformance import check_traffic
 from dosplan.scenario import load_scenario
 from dosplan.simulation.world import World
 from dosplan.types import (
@@ -269,6 +270,12 @@ def test_road_users_that_sumo_does_not_have_there_are_put_there(
         expected = 0.1 * tracks.states[row, 0, USER_VELOCITY]
         assert way == pytest.approx(expected, abs=0.15)
         assert users.kinds[there] is tracks.kinds[row]
+
+
+def test_it_keeps_the_contract_of_a_traffic(tmp_path: Path) -> None:
+    for scene in (suite_file(ZEBRA), interactive_folder(tmp_path)):
+        report = check_traffic(SumoTraffic, load_scenario(scene))
+        assert not report.failures
 
 
 DATA = Path(os.environ.get("DOSPLAN_DATA", "/nowhere")) / "interactive"

@@ -183,12 +183,8 @@ class TrajectoryNetwork(nn.Module):
 
     def decode(self, features: Tensor, velocity: Tensor) -> Tensor:
         """(T, hidden) features, (T,) m/s -> (T, HORIZON, 2) m in each road user's frame."""
-        seconds = step_seconds()
         read = torch.cat([self.dropout(features), velocity[:, None] / VELOCITY_UNIT], -1)
-        learned = self.decoder(read).view(-1, HORIZON, 2)
-        # What is learned grows with time, so that the first steps start out exact.
-        grown: Tensor = learned * (0.05 + 0.5 * seconds)[:, None] * learned.new_tensor([4.0, 2.0])
-        return constant_velocity(velocity) + grown
+        return constant_velocity(velocity) + grown(self.decoder(read))
 
     def forward(self, scene: Scene) -> tuple[Tensor, Tensor]:
         """(T, HORIZON, 2) trajectories, m, in each road user's frame, and (T, hidden) features."""
@@ -208,6 +204,12 @@ class TrajectoryNetwork(nn.Module):
 def step_seconds() -> Tensor:
     """(HORIZON,) time of each predicted step, s."""
     return STEP_SECONDS * torch.arange(1, HORIZON + 1, dtype=torch.float32)
+
+
+def grown(learned: Tensor) -> Tensor:
+    """(N, 2 HORIZON) -> (N, HORIZON, 2) m: it grows with time, so that first steps start exact."""
+    share = (0.05 + 0.5 * step_seconds())[:, None]
+    return learned.view(-1, HORIZON, 2) * share * learned.new_tensor([4.0, 2.0])
 
 
 def constant_velocity(velocity: Tensor) -> Tensor:

@@ -28,8 +28,9 @@ from dosplan.system.errors import DosplanError
 from dosplan.system.files import write_json
 from dosplan.types import Scenario
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
+from dosplan_net.lights import LIGHT_SIZE, describe_lights, find_lights
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 EMPTY: Final = ""  # Result of the extraction where no future is recorded.
 MIN_FUTURE: Final = 5  # Steps of recorded future that a scene needs.
 
@@ -52,6 +53,7 @@ class WindowCache:
         static: (W, STATIC_SIZE) see ``SceneFeatures``.
         neighbours: (W, NEIGHBOURS) windows of the nearest others, -1 for none.
         pieces: (W, PIECES) map pieces, -1 for none.
+        lights: (W, LIGHT_SIZE) the light ahead, see ``lights.describe_lights``.
         moves: (W,) whether the road user can move (it is neither parked nor static).
         future: (W, HORIZON, 3) x, y, m, and heading, rad, in the road user's frame.
         future_valid: (W, HORIZON) whether that is recorded.
@@ -70,6 +72,7 @@ class WindowCache:
     static: npt.NDArray[np.float32]
     neighbours: npt.NDArray[np.int32]
     pieces: npt.NDArray[np.int32]
+    lights: npt.NDArray[np.float32]
     moves: npt.NDArray[np.bool_]
     future: npt.NDArray[np.float32]
     future_valid: npt.NDArray[np.bool_]
@@ -130,6 +133,7 @@ _LAYOUT: Final[dict[str, tuple[str, Any]]] = {
     "static": (_WINDOW, np.float32),
     "neighbours": (_WINDOW, np.int32),
     "pieces": (_WINDOW, np.int32),
+    "lights": (_WINDOW, np.float32),
     "moves": (_WINDOW, np.bool_),
     "future": (_WINDOW, np.float32),
     "future_valid": (_WINDOW, np.bool_),
@@ -241,7 +245,7 @@ def _readable(shard: Path) -> bool:
 
 def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | None:
     tracks = scenario.tracks
-    pieces = cut_map(scenario.road_map)
+    pieces, index = cut_map(scenario.road_map), find_lights(scenario.road_map)
     parts: dict[str, list[npt.NDArray[Any]]] = {
         name: [] for name, (owner, _) in _LAYOUT.items() if owner == _WINDOW
     }
@@ -261,6 +265,11 @@ def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | No
             np.where(features.neighbours < 0, -1, features.neighbours + counts[-1])
         )
         parts["pieces"].append(features.pieces)
+        parts["lights"].append(
+            np.zeros((len(rows), LIGHT_SIZE))
+            if index is None
+            else describe_lights(observation, index)
+        )
         parts["moves"].append(observation.moves)
         parts["future"].append(future)
         parts["future_valid"].append(future_valid)

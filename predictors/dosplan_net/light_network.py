@@ -1,0 +1,103 @@
+"""What a traffic light ahead changes of a trajectory.
+
+It is added to the trajectory of a network that is trained already and stays as it is: where no
+light is ahead nothing is added, and the network's weights and its features H are the same with and
+without lights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from torch import Tensor, nn
+
+from dosplan_net.features import HORIZON
+from dosplan_net.lights import COLOUR_SIZE, LIGHT_SIZE
+from dosplan_net.network import DISTANCE_UNIT, VELOCITY_UNIT, grown
+from dosplan_net.weights import load_model, save_weights
+
+MODEL: Final = "light-response"
+"""The kind of model that a weight file of a response names."""
+
+
+@dataclass(frozen=True)
+class LightConfig:
+    """Sizes of the response.
+
+    Attributes:
+        hidden: Width of its two layers.
+        dropout: Share of them that is set to zero in training.
+        features: Width of the network's features H.
+        use_light: Whether it is told anything of the light but that one is ahead.
+    """
+
+    hidden: int = 128
+    dropout: float = 0.1
+    features: int = 128
+    use_light: bool = True
+
+
+class LightResponse(nn.Module):
+    """Reads the light, the features H and the trajectory; what it adds begins as zero."""
+
+    def __init__(self, config: LightConfig = LightConfig()) -> None:
+        super().__init__()
+        self.config = c = config
+        last = nn.Linear(c.hidden, 2 * HORIZON)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+        self.layers = nn.Sequential(
+            nn.Linear(c.features + 2 * HORIZON + 1 + LIGHT_SIZE, c.hidden),
+            nn.ReLU(),
+            nn.Dropout(c.dropout),
+            nn.Linear(c.hidden, c.hidden),
+            nn.ReLU(),
+            nn.Dropout(c.dropout),
+            last,
+        )
+
+    def forward(
+        self, features: Tensor, trajectory: Tensor, velocity: Tensor, lights: Tensor
+    ) -> Tensor:
+        """(N, features), (N, HORIZON, 2) m, (N,) m/s, (N, LIGHT_SIZE) -> (N, HORIZON, 2) m."""
+        read = torch.cat(
+            [
+                features,
+                trajectory.flatten(1) / DISTANCE_UNIT,
+                velocity[:, None] / VELOCITY_UNIT,
+                lights * float(self.config.use_light),
+            ],
+            -1,
+        )
+        ahead = lights[:, :COLOUR_SIZE].sum(-1)
+        return trajectory + grown(self.layers(read)) * ahead[:, None, None]
+
+
+def save_response(path: Path, response: LightResponse, figures: dict[str, Any]) -> None:
+    """Writes a response's weights.
+
+    Args:
+        path: The file.
+        response: The response.
+        figures: Those of its validation.
+    """
+    about = {"model": MODEL, "response": asdict(response.config), "validation": figures}
+    save_weights(path, response.state_dict(), about)
+
+
+def load_response(path: Path) -> LightResponse:
+    """Builds a response from its weights.
+
+    Args:
+        path: The weights.
+
+    Returns:
+        The response, ready to be used.
+
+    Raises:
+        WeightsError: The file is not such weights.
+    """
+    return load_model(path, MODEL, lambda about: LightResponse(LightConfig(**about["response"])))

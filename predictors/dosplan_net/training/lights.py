@@ -1,0 +1,192 @@
+"""Trains the response to lights on a network that stays as it is.
+
+The network is run once over every window with a light ahead; the response learns from what it
+said there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dosplan_net.build import load_network
+from dosplan_net.light_network import (
+    MODEL,
+    LightConfig,
+    LightResponse,
+    load_response,
+    save_response,
+)
+from dosplan_net.lights import COLOUR_SIZE
+from dosplan_net.training.batches import Selection
+from dosplan_net.training.cache import CacheError, WindowCache
+from dosplan_net.training.optimise import FitSettings, fit
+from dosplan_net.training.train import run_over
+from dosplan_net.weights import load_weights
+
+
+@dataclass(frozen=True)
+class LightTraining:
+    """What ``dosplan train lights`` reads from its configuration.
+
+    Attributes:
+        response: Sizes of the response.
+        fit: How it is trained.
+        batch: Windows in a batch.
+    """
+
+    response: LightConfig = field(default_factory=LightConfig)
+    fit: FitSettings = field(default_factory=FitSettings)
+    batch: int = 1024
+
+
+@dataclass(frozen=True)
+class LitWindows:
+    """The W windows of road users that can move and have a lit light ahead.
+
+    Attributes:
+        features: (W, hidden) features H.
+        trajectory: (W, HORIZON, 2) what the network says, m.
+        velocity: (W,) m/s.
+        lights: (W, LIGHT_SIZE) see ``lights.describe_lights``.
+        history: (W, HISTORY, 6) see ``features.SceneFeatures``.
+        future: (W, HORIZON, 2) where they went, m.
+        valid: (W, HORIZON) whether that is recorded.
+        recording: (W,) recording of the cache.
+    """
+
+    features: Tensor
+    trajectory: Tensor
+    velocity: Tensor
+    lights: Tensor
+    history: Tensor
+    future: Tensor
+    valid: Tensor
+    recording: Tensor
+
+    def part(self, rows: Tensor) -> LitWindows:
+        """Some of the windows."""
+        return LitWindows(*(value[rows] for value in vars(self).values()))
+
+    def error(self, trajectory: Tensor) -> Tensor:
+        """(W, HORIZON) displacement of trajectories, m."""
+        return torch.sqrt((trajectory - self.future).square().sum(-1) + 1e-6)
+
+
+def lit_windows(network: Path, caches: Sequence[Path]) -> LitWindows:
+    """Runs a network over the windows with a light ahead.
+
+    Args:
+        network: Its weights.
+        caches: Caches of windows; the recordings are numbered on from one to the next.
+
+    Returns:
+        The windows, and what the network says of them.
+
+    Raises:
+        CacheError: A cache cannot be read, or nobody has a light ahead.
+        WeightsError: The weights cannot be read.
+    """
+    found: list[tuple[Tensor, ...]] = []
+    model, recordings = load_network(network), 0
+    for path in caches:
+        cache = WindowCache.open(path)
+        for batch, trajectory, features in run_over(
+            model, Selection(cache, np.arange(cache.scenes))
+        ):
+            lights = torch.from_numpy(cache.lights[batch.windows.numpy()])
+            rows = lights[:, :COLOUR_SIZE].any(1) & batch.moves & batch.future_valid[:, 0]
+            found.append(
+                (
+                    features[rows],
+                    trajectory[rows],
+                    batch.pose[rows, 3],
+                    lights[rows],
+                    batch.history[rows],
+                    batch.future[rows, :, :2],
+                    batch.future_valid[rows],
+                    batch.recording[rows] + recordings,
+                )
+            )
+        recordings += len(cache.recordings)
+    windows = LitWindows(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+    if not len(windows.velocity):
+        raise CacheError(f"{caches[0]}: nobody has a traffic light ahead in it; name another cache")
+    return windows
+
+
+def train_lights(
+    config: LightTraining,
+    caches: Sequence[Path],
+    validation: Path,
+    network: Path,
+    out: Path,
+    report: Callable[[str], None] = print,
+) -> dict[str, float]:
+    """Trains the response; does nothing where it is done.
+
+    Args:
+        config: The training.
+        caches: Caches of training windows.
+        validation: Cache of windows that select the weights.
+        network: Weights of the network.
+        out: The weights to make; a folder beside them, of the same name, holds log and checkpoint.
+        report: Called with each line of progress.
+
+    Returns:
+        The figures of the best validation: ``ade`` over every recorded step and ``fde`` at the
+        last, m, of windows with a light ahead.
+    """
+    if out.is_file():
+        done: dict[str, float] = load_weights(out, MODEL)[1]["validation"]
+        return done
+    windows, held_out = lit_windows(network, caches), lit_windows(network, [validation])
+    torch.manual_seed(config.fit.seed)
+    response = LightResponse(config.response)
+
+    def loss_at(step: int) -> Tensor:
+        random = np.random.default_rng((config.fit.seed, step))
+        rows = torch.from_numpy(random.integers(0, len(windows.velocity), config.batch))
+        part = windows.part(rows)
+        error = part.error(respond(response, part))
+        return (error * part.valid).sum() / part.valid.sum().clamp(min=1)
+
+    figures = fit(
+        response,
+        loss_at,
+        lambda model: displacement(respond(model, held_out), held_out),  # type: ignore[arg-type]
+        config.fit,
+        out.with_suffix(""),
+        report,
+    )
+    save_response(out, response, figures)
+    return figures
+
+
+def respond(response: LightResponse, windows: LitWindows) -> Tensor:
+    """(W, HORIZON, 2) trajectories with the response, m."""
+    answer: Tensor = response(
+        windows.features, windows.trajectory, windows.velocity, windows.lights
+    )
+    return answer
+
+
+def displacement(trajectory: Tensor, windows: LitWindows) -> dict[str, float]:
+    """Displacement errors.
+
+    Args:
+        trajectory: (W, HORIZON, 2) trajectories, m.
+        windows: The windows.
+
+    Returns:
+        ``ade``: mean over every recorded step, m; ``fde``: at the last step, m.
+    """
+    error = windows.error(trajectory)
+    total, count = (error * windows.valid).sum(0), windows.valid.sum(0)
+    ade = total.sum() / count.sum().clamp(min=1)
+    return {"ade": float(ade), "fde": float(total[-1] / count[-1].clamp(min=1))}

@@ -6,19 +6,31 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from dosplan_net.commands import chosen_parts, read_training, say, say_best, train_network
+from dosplan_net.commands import (
+    chosen_parts,
+    network_folder,
+    read_training,
+    say,
+    say_best,
+    train_network,
+    train_response,
+)
 
 from dosplan.cli.command import CommandError
 
 
 class TrainCommand:
-    """``dosplan train net|dos``: trains the network or the sets."""
+    """``dosplan train net|lights|dos``: trains the network, its response to lights or the sets."""
 
-    summary = "train the trajectory network or the occupancy sets"
+    summary = "train the trajectory network, its response to traffic lights or the occupancy sets"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declares the arguments."""
-        parser.add_argument("what", choices=("net", "dos"), help="the network, or sets on it")
+        parser.add_argument(
+            "what",
+            choices=("net", "lights", "dos"),
+            help="the network, its response to traffic lights, or sets on it",
+        )
         parser.add_argument("--config", type=Path, required=True, metavar="FILE.yaml")
         parser.add_argument(
             "--data",
@@ -38,7 +50,7 @@ class TrainCommand:
             "--network",
             type=Path,
             metavar="DIR",
-            help="for dos: the --out folder of the network's training",
+            help="for lights and dos: the --out folder of the network's training",
         )
         parser.add_argument(
             "--only",
@@ -61,9 +73,9 @@ class TrainCommand:
         from dosplan_net.weights import WeightsError
 
         torch.set_num_threads(options.threads)
-        train = train_network if options.what == "net" else _train_sets
+        train = {"net": train_network, "lights": train_response, "dos": _train_sets}
         try:
-            train(options)
+            train[options.what](options)
         except (CacheError, WeightsError) as error:
             raise CommandError(str(error)) from None
         return 0
@@ -101,7 +113,7 @@ class ExportCommand:
             CommandError: Weights cannot be read, or onnx is missing.
             FileError: A file cannot be written.
         """
-        from dosplan_net.encoder import MAP, SCENE, shipped_weights
+        from dosplan_net.encoder import LIGHTS, MAP, SCENE, lights_beside, shipped_weights
         from dosplan_net.export import export
 
         from dosplan_dos.predictor import DEFAULT_SETS, SETS
@@ -111,6 +123,8 @@ class ExportCommand:
             network, sets = shipped_weights(), [DEFAULT_SETS]
         try:
             jobs = [(model, network) for model in (MAP, SCENE) if network is not None]
+            if network is not None and lights_beside(network) is not None:
+                jobs.append((LIGHTS, network))
             jobs += [(SETS, _sets_weights(name)) for name in sets]
             for model, weights in jobs:
                 say(f"{export(model, weights, options.out or weights.parent)}: written")
@@ -130,11 +144,8 @@ def _train_sets(options: argparse.Namespace) -> None:
 
     config = read_training(options.config, SetTraining)
     names = chosen_parts(options.only, list(config.modules))
-    if options.network is None:
-        raise CommandError("--network DIR is needed: the folder of the network's training")
-    trained = train_sets(
-        names, config, options.data, options.validation, options.network, options.out, say
-    )
+    network = network_folder(options)
+    trained = train_sets(names, config, options.data, options.validation, network, options.out, say)
     for name, figures in trained:
         say_best(name, figures)
 

@@ -67,6 +67,8 @@ class DosSettings(PredictorSettings):
         threads: Threads that the network and the module may use.
         engine: What runs them: ``torch``, or ``onnx``, which is quicker; its files are made with
             ``dosplan export``.
+        lights: Whether the network looks at traffic lights, where its weights have a response to
+            them.
     """
 
     sets: str = DEFAULT_SETS
@@ -77,6 +79,7 @@ class DosSettings(PredictorSettings):
     network: Path | None = None
     threads: int = 1
     engine: Engine = Engine.TORCH
+    lights: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -136,6 +139,7 @@ class DosPredictor(Predictor):
                 weights=settings.network,
                 threads=settings.threads,
                 engine=settings.engine,
+                lights=settings.lights,
             ),
         )
         self.base: Predictor = (settings.base or own).build(seed)
@@ -145,7 +149,7 @@ class DosPredictor(Predictor):
         self._files = (settings.network or shipped_weights(), settings.sets_file)
         network, sets = self._files
         self._module = shared_module(sets, settings.engine, settings.threads)
-        self.encoder = shared_encoder(network, settings.engine, settings.threads)
+        self.encoder = shared_encoder(network, settings.engine, settings.threads, settings.lights)
         self._calibration = None
         if coverage is not None:
             mode = Mode.SIMULTANEOUS if settings.simultaneous else Mode.PER_STEP

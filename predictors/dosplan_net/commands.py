@@ -1,4 +1,4 @@
-"""``dosplan data``, and the part of ``dosplan train`` that trains the network."""
+"""``dosplan data``, and what ``dosplan train`` does for the network and its response to lights."""
 
 from __future__ import annotations
 
@@ -90,6 +90,44 @@ def train_network(options: argparse.Namespace) -> None:
     for name in chosen_parts(options.only, stages(config)):
         figures = train_stage(name, config, options.data, options.validation, options.out, say)
         say_best(name, figures)
+
+
+def train_response(options: argparse.Namespace) -> None:
+    """Trains the response to lights, unless it is trained already: ``dosplan train lights``.
+
+    Args:
+        options: The arguments of ``dosplan train``.
+
+    Raises:
+        CacheError: A cache cannot be read, or nobody has a light ahead in it.
+        CommandError: The configuration cannot be used, or no network is named.
+        WeightsError: Weights that are there cannot be read.
+    """
+    from dosplan_net.training.lights import LightTraining, train_lights
+
+    config = read_training(options.config, LightTraining)
+    chosen_parts(options.only, ["lights"])
+    folder = network_folder(options)
+    figures = train_lights(config, options.data, options.validation, folder, options.out, say)
+    say_best("lights", figures)
+
+
+def network_folder(options: argparse.Namespace) -> Path:
+    """Reads ``--network``.
+
+    Args:
+        options: The arguments of ``dosplan train``.
+
+    Returns:
+        The folder of the network's training.
+
+    Raises:
+        CommandError: It is not given.
+    """
+    if options.network is None:
+        raise CommandError("--network DIR is needed: the folder of the network's training")
+    folder: Path = options.network
+    return folder
 
 
 def read_training(path: Path, kind: Any) -> Any:

@@ -10,14 +10,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from dosplan.geometry import LightIndex
 from dosplan.types import IntArray, Observation, RoadMap
 from dosplan_net.engine import Engine, Function, Model, open_function
 from dosplan_net.features import HORIZON, Float32Array, MapPieces, cut_map, describe
+from dosplan_net.lights import describe_lights, find_lights, lit
 
 if TYPE_CHECKING:
-    from dosplan_net.graphs import MapGraph, SceneGraph
+    from dosplan_net.graphs import LightGraph, MapGraph, SceneGraph
 
 SHIPPED = "net.safetensors"
+BESIDE: Final = ".lights.safetensors"  # Ends the name of a network's response to lights.
 
 
 def _load_map(weights: Path) -> MapGraph:
@@ -34,8 +37,16 @@ def _load_scene(weights: Path) -> SceneGraph:
     return SceneGraph(load_network(weights))
 
 
+def _load_lights(weights: Path) -> LightGraph:
+    from dosplan_net.graphs import LightGraph
+    from dosplan_net.light_network import load_response
+
+    return LightGraph(load_response(weights.with_suffix(BESIDE), weights))
+
+
 MAP: Final = Model(_load_map, suffix=".map.onnx", option="--network")
 SCENE: Final = Model(_load_scene, suffix=".onnx", option="--network")
+LIGHTS: Final = Model(_load_lights, ".lights.onnx", option="--network", beside=BESIDE)
 
 
 @dataclass(frozen=True)
@@ -60,15 +71,20 @@ class Encoded:
 class SceneEncoder:
     """Runs the network on observations; keeps the last result, as several predictors share it."""
 
-    def __init__(self, read_map: Function, read_scene: Function) -> None:
+    def __init__(
+        self, read_map: Function, read_scene: Function, read_lights: Function | None = None
+    ) -> None:
         """Takes the network.
 
         Args:
             read_map: The ``MAP`` part of it.
             read_scene: The ``SCENE`` part of it.
+            read_lights: Its response to lights, ``LIGHTS``; without it no light is looked at.
         """
         self._read_map = read_map
         self._read_scene = read_scene
+        self._read_lights = read_lights
+        self._lights: LightIndex | None = None
         self._map: tuple[RoadMap, MapPieces] | None = None
         self._code: Float32Array = np.zeros((0, 0), dtype=np.float32)
         self._piece_pose: Float32Array = np.zeros((0, 3), dtype=np.float32)
@@ -96,6 +112,7 @@ class SceneEncoder:
         if len(pieces.pose):
             self._origin[:2] = pieces.pose[0, :2]
         self._piece_pose = np.pad(pieces.pose - self._origin, ((0, 1), (0, 0))).astype(np.float32)
+        self._lights = find_lights(road_map) if self._read_lights else None
         self._map, self._last = (road_map, pieces), None
         return pieces
 
@@ -127,6 +144,17 @@ class SceneEncoder:
                 piece_code=self._code,
                 piece_pose=self._piece_pose,
             )
+        if self._read_lights and self._lights:
+            lights = describe_lights(observation, self._lights)[moving]
+            rows = np.flatnonzero(lit(lights))
+            if len(rows):
+                trajectory = np.array(trajectory)
+                (trajectory[rows],) = self._read_lights(
+                    features=features[rows],
+                    trajectory=trajectory[rows],
+                    velocity=pose[moving[rows], 3],
+                    lights=lights[rows],
+                )
         encoded = Encoded(moving, features, trajectory, seen.history[moving], pose[moving, 3])
         self._last = (observation, encoded)
         return encoded
@@ -141,14 +169,28 @@ def shipped_weights() -> Path:
     return Path(str(resources.files("dosplan_net") / "weights" / SHIPPED))
 
 
+def lights_beside(weights: Path) -> Path | None:
+    """The response to lights that was trained on a network.
+
+    Args:
+        weights: The network's weights.
+
+    Returns:
+        The response's weights, which lie beside them; None where there are none.
+    """
+    path = weights.with_suffix(BESIDE)
+    return path if path.is_file() else None
+
+
 @lru_cache(maxsize=4)
-def shared_encoder(weights: Path, engine: Engine, threads: int) -> SceneEncoder:
+def shared_encoder(weights: Path, engine: Engine, threads: int, lights: bool) -> SceneEncoder:
     """One encoder for all predictors of a process that use the same weights in the same way.
 
     Args:
         weights: The weights.
         engine: What runs the network.
         threads: Threads it may use.
+        lights: Whether traffic lights are looked at, where the weights have a response to them.
 
     Returns:
         The encoder.
@@ -157,5 +199,7 @@ def shared_encoder(weights: Path, engine: Engine, threads: int) -> SceneEncoder:
         EngineError: The engine cannot run these weights.
         WeightsError: The weights cannot be read.
     """
-    parts = (open_function(model, weights, engine, threads) for model in (MAP, SCENE))
+    parts = [open_function(model, weights, engine, threads) for model in (MAP, SCENE)]
+    if lights and lights_beside(weights) is not None:
+        parts.append(open_function(LIGHTS, weights, engine, threads))
     return SceneEncoder(*parts)

@@ -65,11 +65,30 @@ class Model:
         load: Builds its graph from weights; imports torch.
         suffix: End of an exported file's name, where that of the weights has ``.safetensors``.
         option: The option of ``dosplan export`` that takes its weights.
+        beside: End of the name of a file beside the weights that holds its own; None where the
+            weights do.
     """
 
     load: Callable[[Path], Graph]
     suffix: str
     option: str
+    beside: str | None = None
+
+    def origin(self, weights: Path) -> dict[str, str]:
+        """The metadata that an exported file needs in order to be used.
+
+        Args:
+            weights: The weights.
+
+        Returns:
+            The digest of those that it is made from, and the version of the code that says what to
+            compute with them.
+
+        Raises:
+            OSError: The weights cannot be read.
+        """
+        own = weights if self.beside is None else weights.with_suffix(self.beside)
+        return {"weights_sha256": sha256(own.read_bytes()).hexdigest(), "dosplan": __version__}
 
 
 def open_function(model: Model, weights: Path, engine: Engine, threads: int) -> Function:
@@ -92,21 +111,6 @@ def open_function(model: Model, weights: Path, engine: Engine, threads: int) -> 
     return _OPENERS[engine](model, weights, threads)
 
 
-def origin(weights: Path) -> dict[str, str]:
-    """The metadata that an exported file needs in order to be used.
-
-    Args:
-        weights: The weights.
-
-    Returns:
-        The weights' digest, and the version of the code that says what to compute with them.
-
-    Raises:
-        OSError: The weights cannot be read.
-    """
-    return {"weights_sha256": sha256(weights.read_bytes()).hexdigest(), "dosplan": __version__}
-
-
 def _open_torch(model: Model, weights: Path, threads: int) -> Function:
     from dosplan_net.graphs import TorchFunction
 
@@ -123,7 +127,7 @@ def _open_onnx(model: Model, weights: Path, threads: int) -> Function:
     path = weights.with_suffix(model.suffix)
     remedy = f"make it with: dosplan export {model.option} {shlex.quote(str(weights))}"
     try:
-        content, wanted = path.read_bytes(), origin(weights)
+        content, wanted = path.read_bytes(), model.origin(weights)
     except OSError as error:
         raise EngineError(
             f"{error.filename}: cannot be read ({error.strerror}); {remedy}"

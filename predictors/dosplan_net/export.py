@@ -10,7 +10,7 @@ from typing import Final
 import torch
 
 from dosplan.system.files import write_bytes
-from dosplan_net.engine import EngineError, Model, origin
+from dosplan_net.engine import EngineError, Model
 
 OPSET: Final = 17  # Old enough for every onnxruntime that is allowed.
 
@@ -52,7 +52,7 @@ def export(model: Model, weights: Path, folder: Path) -> Path:
             dynamic_axes={name: {0: length} for name, length in graph.inputs.items()},
         )
         content = onnx.load(traced)
-    onnx.helper.set_model_props(content, origin(weights))
+    onnx.helper.set_model_props(content, model.origin(weights))
     path = folder / weights.with_suffix(model.suffix).name
     write_bytes(path, content.SerializeToString())
     return path

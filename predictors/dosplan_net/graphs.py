@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from dosplan_net.features import (
     HISTORY,
     HISTORY_SIZE,
+    HORIZON,
     NEIGHBOURS,
     PIECE_ATTRIBUTES,
     PIECE_CHANNELS,
@@ -23,6 +24,8 @@ from dosplan_net.features import (
     STATIC_SIZE,
     Float32Array,
 )
+from dosplan_net.light_network import LightResponse
+from dosplan_net.lights import LIGHT_SIZE
 from dosplan_net.network import Scene, TrajectoryNetwork
 
 
@@ -101,6 +104,32 @@ class SceneGraph(Graph):
                 torch.zeros(7, PIECE_POINTS, PIECE_CHANNELS), torch.zeros(7, PIECE_ATTRIBUTES)
             ),
             torch.zeros(7, 3),
+        )
+
+
+class LightGraph(Graph):
+    """Trajectories in, those of road users with a light ahead out; see ``LightResponse``."""
+
+    inputs: ClassVar = dict.fromkeys(("features", "trajectory", "velocity", "lights"), "users")
+    outputs: ClassVar = ("answer",)
+
+    def __init__(self, response: LightResponse) -> None:
+        super().__init__()
+        self.response = response
+        self.eval()
+
+    def forward(self, *fields: Tensor) -> tuple[Tensor]:
+        """See ``light_network.LightResponse.forward``."""
+        return (self.response(*fields),)
+
+    def example(self) -> tuple[Tensor, ...]:
+        """Three road users."""
+        features = self.response.config.features
+        return (
+            torch.zeros(3, features),
+            torch.zeros(3, HORIZON, 2),
+            torch.zeros(3),
+            torch.zeros(3, LIGHT_SIZE),
         )
 
 

@@ -7,9 +7,11 @@ without lights.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import torch
 from torch import Tensor, nn
@@ -17,7 +19,7 @@ from torch import Tensor, nn
 from dosplan_net.features import HORIZON
 from dosplan_net.lights import COLOUR_SIZE, LIGHT_SIZE
 from dosplan_net.network import DISTANCE_UNIT, VELOCITY_UNIT, grown
-from dosplan_net.weights import load_model, save_weights
+from dosplan_net.weights import WeightsError, load_model, load_weights, save_weights
 
 MODEL: Final = "light-response"
 """The kind of model that a weight file of a response names."""
@@ -76,28 +78,47 @@ class LightResponse(nn.Module):
         return trajectory + grown(self.layers(read)) * ahead[:, None, None]
 
 
-def save_response(path: Path, response: LightResponse, figures: dict[str, Any]) -> None:
+def save_response(
+    path: Path, response: LightResponse, network: Path, figures: Mapping[str, float]
+) -> None:
     """Writes a response's weights.
 
     Args:
         path: The file.
         response: The response.
+        network: Weights of the network that it was trained on.
         figures: Those of its validation.
+
+    Raises:
+        OSError: The network's weights cannot be read.
     """
-    about = {"model": MODEL, "response": asdict(response.config), "validation": figures}
+    about = {
+        "model": MODEL,
+        "response": asdict(response.config),
+        "network_sha256": sha256(network.read_bytes()).hexdigest(),
+        "validation": dict(figures),
+    }
     save_weights(path, response.state_dict(), about)
 
 
-def load_response(path: Path) -> LightResponse:
+def load_response(path: Path, network: Path) -> LightResponse:
     """Builds a response from its weights.
 
     Args:
         path: The weights.
+        network: Weights of the network that it is to be used with.
 
     Returns:
         The response, ready to be used.
 
     Raises:
-        WeightsError: The file is not such weights.
+        OSError: The network's weights cannot be read.
+        WeightsError: The file is not such weights, or was trained on another network.
     """
+    trained_on = load_weights(path, MODEL)[1].get("network_sha256")
+    if trained_on != sha256(network.read_bytes()).hexdigest():
+        raise WeightsError(
+            f"{path}: was not trained on the network {network.name}; "
+            "train it again with dosplan train lights, or remove it"
+        )
     return load_model(path, MODEL, lambda about: LightResponse(LightConfig(**about["response"])))

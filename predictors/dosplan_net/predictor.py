@@ -18,7 +18,7 @@ from dosplan.types import (
     PlanningTask,
     RoadMap,
 )
-from dosplan_net.encoder import shared_encoder, shipped_weights
+from dosplan_net.encoder import lights_beside, shared_encoder, shipped_weights
 from dosplan_net.engine import Engine
 from dosplan_net.features import HORIZON
 
@@ -63,11 +63,13 @@ class NetSettings(PredictorSettings):
         threads: Threads that the network may use.
         engine: What runs the network: ``torch``, or ``onnx``, which is quicker; its files are made
             with ``dosplan export``.
+        lights: Whether traffic lights are looked at, where the weights have a response to them.
     """
 
     weights: Path | None = None
     threads: int = 1
     engine: Engine = Engine.TORCH
+    lights: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,11 +98,14 @@ class NetPredictor(Predictor):
         """
         super().__init__(seed=seed, settings=settings)
         self._weights = settings.weights or shipped_weights()
-        self.encoder = shared_encoder(self._weights, settings.engine, settings.threads)
+        self._lights = lights_beside(self._weights) if settings.lights else None
+        self.encoder = shared_encoder(
+            self._weights, settings.engine, settings.threads, settings.lights
+        )
 
     def weight_files(self) -> tuple[Path, ...]:
-        """The network."""
-        return (self._weights,)
+        """The network, and its response to lights."""
+        return tuple(path for path in (self._weights, self._lights) if path is not None)
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
         """Reads the map."""

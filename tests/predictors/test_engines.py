@@ -17,7 +17,8 @@ import torch
 from dosplan_dos.commands import EXPORT
 from dosplan_dos.predictor import DosPredictor, DosSettings
 from dosplan_dos.shapes import Variant
-from dosplan_net.engine import Engine, EngineError, origin
+from dosplan_net.encoder import SCENE
+from dosplan_net.engine import Engine, EngineError
 from dosplan_net.predictor import NetPredictor, NetSettings
 from shapely.geometry import box
 
@@ -27,7 +28,8 @@ from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
 from dosplan.scenario.synthetic import steady_tracks
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, Occupancy, RoadMap, RoadUserKind
-from tests.support.models import save_network, save_sets, seen_at
+from tests.support.lights import regulated_scenario
+from tests.support.models import save_lights, save_network, save_sets, seen_at
 
 pytest.importorskip("onnxruntime", reason='needs onnxruntime: pip install "dosplan[onnx]"')
 onnx = pytest.importorskip("onnx", reason='needs onnx: pip install "dosplan[onnx]"')
@@ -140,6 +142,22 @@ def test_the_network_alone_runs_under_both(folder: Path) -> None:
     assert not np.any(ours.semi_axes)
 
 
+def test_the_response_to_lights_runs_under_both(tmp_path: Path) -> None:
+    weights = save_network(tmp_path / "net.safetensors")
+    save_lights(weights)
+    export("--network", weights)
+    scenario = regulated_scenario(steady_tracks([[10.0, 3.5, 0.0, 6.0], [0.0, 0.0, 0.0, 5.0]]))
+    seen = World(scenario, first_step=0).observation()
+    reference, ours, without = (
+        NetPredictor(settings=NetSettings(weights=weights, engine=engine, lights=lights)).predict(
+            seen
+        )
+        for engine, lights in ((Engine.TORCH, True), (Engine.ONNX, True), (Engine.ONNX, False))
+    )
+    assert_same(ours, reference)
+    assert np.abs(ours.centre - without.centre).max() > 0.01
+
+
 def test_every_predictor_has_its_own_number_of_threads(folder: Path) -> None:
     before = torch.get_num_threads()
     weights = folder / "net.safetensors"
@@ -192,7 +210,7 @@ def _train_on(weights: Path) -> None:
 def _export_with_an_older_version(weights: Path) -> None:
     file = weights.with_suffix(".onnx")
     content = onnx.load(file)
-    onnx.helper.set_model_props(content, origin(weights) | {"dosplan": "0.0.1"})
+    onnx.helper.set_model_props(content, SCENE.origin(weights) | {"dosplan": "0.0.1"})
     onnx.save_model(content, file)
 
 
@@ -214,6 +232,7 @@ def _point_elsewhere(weights: Path) -> None:
     [
         (_remove, r"net\.onnx: cannot be read \(No such file"),
         (_train_on, r"net\.map\.onnx: was not made from these weights"),
+        (save_lights, r"net\.lights\.onnx: cannot be read \(No such file"),
         (_export_with_an_older_version, r"net\.onnx: was not made .* by this version"),
         (_cut_off, r"net\.onnx: not an ONNX model"),
         (_point_elsewhere, r"net\.onnx: not self-contained"),

@@ -13,6 +13,7 @@ from dosplan_dos.shapes import Variant
 from dosplan_dos.training import MODEL as SETS_MODEL
 from dosplan_dos.training import describe_config
 from dosplan_net.build import MODEL as NETWORK_MODEL
+from dosplan_net.light_network import LightConfig, LightResponse, save_response
 from dosplan_net.network import NetworkConfig, TrajectoryNetwork
 from dosplan_net.weights import save_weights
 from shapely import affinity
@@ -40,6 +41,17 @@ def save_network(path: Path, seed: int = 0) -> Path:
     """Writes a tiny network as training would."""
     about = {"model": NETWORK_MODEL, "network": asdict(TINY), "validation": {"ade": 1.0}}
     save_weights(path, tiny_network(seed).state_dict(), about)
+    return path
+
+
+def save_lights(network: Path, seed: int = 0) -> Path:
+    """Writes a tiny response to lights beside a tiny network, as training would."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        response = LightResponse(LightConfig(hidden=8, features=TINY.hidden))
+        torch.nn.init.normal_(response.get_parameter("layers.6.weight"))
+    path = network.with_suffix(".lights.safetensors")
+    save_response(path, response, network, {"ade": 1.0})
     return path
 
 

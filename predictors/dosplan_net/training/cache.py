@@ -265,11 +265,8 @@ def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | No
             np.where(features.neighbours < 0, -1, features.neighbours + counts[-1])
         )
         parts["pieces"].append(features.pieces)
-        parts["lights"].append(
-            np.zeros((len(rows), LIGHT_SIZE))
-            if index is None
-            else describe_lights(observation, index)
-        )
+        lights = describe_lights(observation, index) if index else np.zeros((len(rows), LIGHT_SIZE))
+        parts["lights"].append(lights)
         parts["moves"].append(observation.moves)
         parts["future"].append(future)
         parts["future_valid"].append(future_valid)

@@ -7,7 +7,7 @@ said there.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,18 +15,18 @@ import torch
 from torch import Tensor
 
 from dosplan_net.build import load_network
+from dosplan_net.encoder import BESIDE
 from dosplan_net.light_network import (
     MODEL,
     LightConfig,
     LightResponse,
-    load_response,
     save_response,
 )
 from dosplan_net.lights import COLOUR_SIZE
 from dosplan_net.training.batches import Selection
 from dosplan_net.training.cache import CacheError, WindowCache
 from dosplan_net.training.optimise import FitSettings, fit
-from dosplan_net.training.train import run_over
+from dosplan_net.training.train import NET, run_over
 from dosplan_net.weights import load_weights
 
 
@@ -35,7 +35,7 @@ class LightTraining:
     """What ``dosplan train lights`` reads from its configuration.
 
     Attributes:
-        response: Sizes of the response.
+        response: Sizes of the response; the width of the features is the network's.
         fit: How it is trained.
         batch: Windows in a batch.
     """
@@ -134,20 +134,21 @@ def train_lights(
         config: The training.
         caches: Caches of training windows.
         validation: Cache of windows that select the weights.
-        network: Weights of the network.
-        out: The weights to make; a folder beside them, of the same name, holds log and checkpoint.
+        network: Folder of the network's training; ``net.safetensors`` there is used.
+        out: Folder of this training; ``net.lights.safetensors`` is written there.
         report: Called with each line of progress.
 
     Returns:
         The figures of the best validation: ``ade`` over every recorded step and ``fde`` at the
         last, m, of windows with a light ahead.
     """
-    if out.is_file():
-        done: dict[str, float] = load_weights(out, MODEL)[1]["validation"]
+    weights, target = network / f"{NET}.safetensors", out / f"{NET}{BESIDE}"
+    if target.is_file():
+        done: dict[str, float] = load_weights(target, MODEL)[1]["validation"]
         return done
-    windows, held_out = lit_windows(network, caches), lit_windows(network, [validation])
+    windows, held_out = lit_windows(weights, caches), lit_windows(weights, [validation])
     torch.manual_seed(config.fit.seed)
-    response = LightResponse(config.response)
+    response = LightResponse(replace(config.response, features=windows.features.shape[1]))
 
     def loss_at(step: int) -> Tensor:
         random = np.random.default_rng((config.fit.seed, step))
@@ -161,10 +162,10 @@ def train_lights(
         loss_at,
         lambda model: displacement(respond(model, held_out), held_out),  # type: ignore[arg-type]
         config.fit,
-        out.with_suffix(""),
+        out / "lights",
         report,
     )
-    save_response(out, response, figures)
+    save_response(target, response, weights, figures)
     return figures
 
 

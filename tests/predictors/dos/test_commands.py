@@ -66,6 +66,7 @@ def test_data_build_wants_positive_numbers(tmp_path: Path, option: str) -> None:
         ("net", "- folds"),
         ("net", "folds: ["),
         ("net", "\0"),
+        ("lights", "response: {hiden: 8}"),
         ("dos", "modules: {a: {variant: square}}"),
         ("dos", "modules: {a: {loss: {name: papr}}}"),
         ("dos", "modules: {a: {base: magic}}"),
@@ -85,6 +86,14 @@ def test_what_is_missing_is_named(window_cache: Path, tmp_path: Path) -> None:
     absent, config = tmp_path / "absent", tmp_path / "config.yaml"
     with pytest.raises(CommandError, match="absent"):
         train("net", absent, window_cache, tmp_path)
+    config.write_text("batch: 16")
+    with pytest.raises(CommandError, match="--network DIR is needed"):
+        train("lights", config, window_cache, tmp_path)
+    with pytest.raises(CommandError, match=r"absent/net\.safetensors: not readable as weights"):
+        train("lights", config, window_cache, tmp_path, "--network", absent)
+    save_network(tmp_path / "net.safetensors")
+    with pytest.raises(CommandError, match="nobody has a traffic light ahead"):
+        train("lights", config, window_cache, tmp_path, "--network", tmp_path)
     config.write_text("modules: {a: {features: 12, hidden: 8}}")
     with pytest.raises(CommandError, match="absent: not a complete cache"):
         train("dos", config, absent, tmp_path, "--network", tmp_path)

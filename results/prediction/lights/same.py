@@ -1,6 +1,8 @@
 """Whether predictions of recordings without lights are the same to the last bit.
 
     python results/prediction/lights/same.py commonroad/val
+
+An observation every 20 steps, the default sets around the trajectories.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 from dosplan_net.training.cache import (
+    FORMAT,
     MIN_FUTURE,
     CacheError,
     WindowCache,
@@ -19,6 +20,7 @@ from dosplan_net.training.cache import (
 
 from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.simulation.world import World
+from dosplan.system.files import write_json
 from dosplan.types import Scenario
 from tests.predictors.conftest import CACHED, EVERY
 from tests.support import scenes
@@ -190,8 +192,11 @@ def test_a_cache_that_cannot_be_written(recordings: Path, tmp_path: Path) -> Non
         (lambda f: (f / "pose.npy").unlink(), "not a complete cache"),
         (lambda f: (f / "pose.npy").write_bytes(b"\x93NUMPY"), "not a complete cache"),
         (lambda f: (f / "cache.json").write_text("{"), "not a complete cache"),
-        (lambda f: (f / "cache.json").write_text('{"format": 1}'), "not a complete cache"),
-        (lambda f: (f / "cache.json").write_text('{"format": 0}'), "of format 0.* reads 1"),
+        (
+            lambda f: (f / "cache.json").write_text(f'{{"format": {FORMAT}}}'),
+            "not a complete cache",
+        ),
+        (lambda f: (f / "cache.json").write_text('{"format": 0}'), f"of format 0.* reads {FORMAT}"),
     ],
 )
 def test_a_damaged_cache_is_refused_in_one_line(

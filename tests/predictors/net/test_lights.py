@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from dosplan_dos.predictor import DosPredictor, DosSettings
+from dosplan_net.features import HISTORY
 from dosplan_net.light_network import LightConfig, LightResponse, load_response
 from dosplan_net.lights import MEMORY, describe_lights, find_lights, lit
 from dosplan_net.predictor import NetPredictor, NetSettings
@@ -18,8 +19,9 @@ from dosplan_net.training.lights import LightTraining, displacement, lit_windows
 from dosplan_net.training.optimise import FitSettings
 from dosplan_net.weights import WeightsError, load_weights
 
+from dosplan.scenario import find_scenarios, load_recording
 from dosplan.scenario.synthetic import LANE_WIDTH, busy_scenario, steady_tracks
-from dosplan.simulation.world import World
+from dosplan.simulation.world import World, watch
 from dosplan.types import (
     COLOURS,
     LightColour,
@@ -29,6 +31,7 @@ from dosplan.types import (
     Scenario,
     Signals,
 )
+from tests.predictors.conftest import EVERY
 from tests.support.lights import LEFT, OTHER, STOP_X, regulated_scenario
 from tests.support.models import TINY, save_lights, save_network, save_sets, seen
 from tests.support.suite import SUITE
@@ -125,6 +128,16 @@ def test_who_has_no_light_ahead_is_predicted_the_same_to_the_last_bit(network: P
     np.testing.assert_array_equal(ours[1], reference[1])
 
 
+def test_lights_that_hold_on_no_lane_are_nobodys(network: Path) -> None:
+    place = scene([10.0, LANE_WIDTH, 0.0, 6.0])
+    lanelets = tuple(
+        replace(lanelet, lights=(), stop_line=None) for lanelet in place.road_map.lanelets
+    )
+    place = replace(place, road_map=replace(place.road_map, lanelets=lanelets))
+    ours, reference = both(network, World(place, first_step=0).observation())
+    np.testing.assert_array_equal(ours, reference)
+
+
 def test_what_lights_will_show_changes_nothing(network: Path) -> None:
     place = scene([10.0, LANE_WIDTH, 0.0, 6.0])
     now = 5
@@ -170,13 +183,20 @@ def test_a_response_of_another_network_is_refused(network: Path) -> None:
 def signals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Windows of a crossing with lights."""
     folder = tmp_path_factory.mktemp("signals")
-    build_cache([SUITE / "files" / f"{SIGNAL}.xml.gz"], folder, every=10)
+    build_cache([SUITE / "files" / f"{SIGNAL}.xml.gz"], folder, every=EVERY)
     return folder
 
 
 def test_a_cache_keeps_the_lights(signals: Path, window_cache: Path) -> None:
-    shown = lit(np.asarray(WindowCache.open(signals).lights))
-    assert 0.1 < shown.mean() < 0.9
+    cache = WindowCache.open(signals)
+    assert 0.1 < lit(np.asarray(cache.lights)).mean() < 0.9
+    place = load_recording(find_scenarios(SUITE / "files" / f"{SIGNAL}.xml.gz")[0])
+    index = find_lights(place.road_map)
+    assert index is not None
+    for number, observation in enumerate(watch(place, EVERY, HISTORY)):
+        if number in (0, cache.scenes - 1):
+            rows = slice(*cache.scene_start[number : number + 2])
+            np.testing.assert_array_equal(cache.lights[rows], describe_lights(observation, index))
     assert not WindowCache.open(window_cache).lights.any()
 
 

@@ -192,10 +192,7 @@ def test_a_cache_that_cannot_be_written(recordings: Path, tmp_path: Path) -> Non
         (lambda f: (f / "pose.npy").unlink(), "not a complete cache"),
         (lambda f: (f / "pose.npy").write_bytes(b"\x93NUMPY"), "not a complete cache"),
         (lambda f: (f / "cache.json").write_text("{"), "not a complete cache"),
-        (
-            lambda f: (f / "cache.json").write_text(f'{{"format": {FORMAT}}}'),
-            "not a complete cache",
-        ),
+        (lambda f: write_json(f / "cache.json", {"format": FORMAT}), "not a complete cache"),
         (lambda f: (f / "cache.json").write_text('{"format": 0}'), f"of format 0.* reads {FORMAT}"),
     ],
 )

@@ -60,7 +60,8 @@ def told(scenario: Scenario, lights: LightStates | None = None, step: int = 0) -
         observation = replace(observation, lights=lights)
     index = find_lights(scenario.road_map)
     assert index is not None
-    return describe_lights(observation, index).tolist()
+    rows: list[list[float]] = describe_lights(observation, index).tolist()
+    return rows
 
 
 def shows(colour: LightColour, since: float = 1.0) -> LightStates:

@@ -19,6 +19,7 @@ from dosplan.types import (
     EGO_VELOCITY,
     USER_VELOCITY,
     FloatArray,
+    RoadMap,
     RoadUserKind,
     Scenario,
     Tracks,
@@ -28,6 +29,7 @@ from tests.support.sumo import ZEBRA, interactive_folder, suite_file
 
 libsumo = pytest.importorskip("libsumo", reason="needs dosplan[sumo]")
 
+from dosplan_sumo.lanes import Lanes  # noqa: E402
 from dosplan_sumo.scene import User, users  # noqa: E402
 from dosplan_sumo.simulator import SumoError  # noqa: E402
 from dosplan_sumo.traffic import SumoTraffic  # noqa: E402
@@ -270,6 +272,26 @@ def test_road_users_that_sumo_does_not_have_there_are_put_there(
         expected = 0.1 * tracks.states[row, 0, USER_VELOCITY]
         assert way == pytest.approx(expected, abs=0.15)
         assert users.kinds[there] is tracks.kinds[row]
+
+
+def test_map_and_network_have_to_lie_on_each_other(traffic: SumoTraffic) -> None:
+    scenario = load_scenario(suite_file(MERGE))
+    traffic.begin(scenario, scenario.task.start_step)
+    lanes = Lanes(libsumo)
+
+    def moved(x: float, y: float) -> RoadMap:
+        way = np.array([x, y])
+        lanelets = (
+            replace(lanelet, left=lanelet.left + way, right=lanelet.right + way)
+            for lanelet in scenario.road_map.lanelets
+        )
+        return replace(scenario.road_map, lanelets=tuple(lanelets))
+
+    stated = np.array([300.0, -50.0])
+    np.testing.assert_array_equal(lanes.offset(scenario.road_map, stated), np.zeros(2))
+    np.testing.assert_array_equal(lanes.offset(moved(-300.0, 50.0), stated), stated)
+    with pytest.raises(SumoError, match="do not lie on each other"):
+        lanes.offset(moved(40.0, 90.0), stated)
 
 
 def test_it_keeps_the_contract_of_a_traffic(tmp_path: Path) -> None:

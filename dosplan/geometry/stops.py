@@ -62,7 +62,7 @@ class StopSettings:
         patience: For who only stands there the ego waits for this long, s.
     """
 
-    margin: float = 1.0
+    margin: float = 0.5
     comfortable: float = 3.0
     hardest: float = 8.0
     standing: float = 0.3

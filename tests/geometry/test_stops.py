@@ -82,7 +82,7 @@ def test_the_nearest_line_that_asks_is_the_one() -> None:
     beyond = stop_at(StopCause.LIGHT, 70.0, 90.0, lights=(7,))
     rules, seen = begun(crosswalk, LIGHT, beyond)
     wait = ask(rules, at(seen, 10.0, LightColour.RED), LINE - 30.0)
-    assert wait == Wait(StopCause.LIGHT, LINE, LINE - 1.0, "light 7")
+    assert wait == Wait(StopCause.LIGHT, LINE, LINE - 0.5, "light 7")
     passed = ask(rules, at(seen, 10.0, LightColour.RED), LINE + 3.0)
     assert passed is not None
     assert passed.line == LINE + 30.0

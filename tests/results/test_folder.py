@@ -364,7 +364,9 @@ def test_times_and_slacks_are_kept_exactly_and_those_of_older_files_are_read(
 ) -> None:
     path, third = tmp_path / "e.npz", 1.0 / 3.0
     episode = _episode(cycles=2)
-    report = SolveReport(SolveStatus.SOLVED, slack=third, road_slack=third, active_ids=(7,))
+    report = SolveReport(
+        SolveStatus.SOLVED, slack=third, road_slack=third, active_ids=(7,), waits_for="light 31"
+    )
     episode = replace(
         episode,
         plans=tuple(replace(plan, report=report) for plan in episode.plans),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,16 @@ def _driven(scenario: Scenario, planner: Planner, predictor: Predictor) -> Score
     return score(scenario, episode)
 
 
+def _without_rules(scenario: Scenario) -> Scenario:
+    """The scenario without lines to stop at and speed limits.
+
+    Whether others can be met by following them alone is asked here, and nobody stops for that.
+    """
+    route = scenario.task.route
+    free = replace(route, stops=(), speed_limit=np.full_like(route.speed_limit, np.inf))
+    return replace(scenario, task=replace(scenario.task, route=free))
+
+
 def collision_of_constant_speed(path: Path, drive: FloatArray, hard: bool) -> str | None:
     """Checks a scenario.
 
@@ -73,7 +84,7 @@ def collision_of_constant_speed(path: Path, drive: FloatArray, hard: bool) -> st
     if first < FIRST_CONTACT:
         return None
     if hard:
-        idm = _driven(scenario, IdmPlanner(), ConstantVelocityPredictor())
+        idm = _driven(_without_rules(scenario), IdmPlanner(), ConstantVelocityPredictor())
         if idm.outcome is Outcome.SUCCESS:
             return None
     other = int(np.flatnonzero(scenario.tracks.ids == cruise.collision_with)[0])

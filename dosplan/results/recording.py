@@ -94,7 +94,7 @@ class Recording:
         sightings: What the ego saw, rounded to 1/64 m, rad and m/s; None where that is all there
             was, at the step of each cycle.
         waits_for: C reasons why the ego stops for a rule, empty where there is none; none at all
-            in files of versions that did not keep it.
+            where no plan has one.
 
     Raises:
         ValueError: Arrays do not fit each other, or what is no number is where one has to be.
@@ -222,6 +222,7 @@ class Recording:
             What ``load`` would give of it.
         """
         reports = [plan.report for plan in episode.plans]
+        waits_for = tuple(str(report.waits_for or "") for report in reports)
         recording = cls(
             scenario_id=episode.scenario_id,
             arm=episode.arm,
@@ -244,7 +245,7 @@ class Recording:
             road_slack=np.array([report.road_slack for report in reports], dtype=np.float64),
             active_ids=tuple(tuple(int(i) for i in report.active_ids) for report in reports),
             fallback=tuple(str(report.fallback or "") for report in reports),
-            waits_for=tuple(str(report.waits_for or "") for report in reports),
+            waits_for=waits_for if any(waits_for) else (),
             signals=episode.signals,
             plan_centres=_planned_centres(scenario, episode),
             **_kept_sets(episode),

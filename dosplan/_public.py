@@ -138,11 +138,11 @@ def run_episode(
     """
     if isinstance(planner, str):
         planner = create_planner(planner, seed)
+    settings = choose_loop(loop, loop_options)
     if isinstance(predictor, str):
-        predictor = create_predictor(predictor, seed)
+        predictor = create_predictor(predictor, seed, loop=settings)
     if isinstance(traffic, str):
         traffic = create_traffic(traffic, seed, future=future)
-    settings = choose_loop(loop, loop_options)
     episode = simulate(scenario, planner, predictor, Arm(arm), settings, traffic)
     return Drive.of(scenario, episode)
 

@@ -17,7 +17,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Generic, TypeVar, final
+from typing import Any, ClassVar, Generic, Self, TypeVar, final
 
 import numpy as np
 
@@ -67,6 +67,17 @@ class PredictorSettings:
     def __post_init__(self) -> None:
         if self.horizon < 1:
             raise ValueError(f"horizon is {self.horizon}, expected 1 or more")
+
+    def seen_by(self, *, exact: bool) -> Self:
+        """Settles what is left to the loop that the predictor is used in; nothing by default.
+
+        Args:
+            exact: Whether the road users that are seen are seen as they are.
+
+        Returns:
+            The settings for such a loop; a run writes down these.
+        """
+        return self
 
     def check_reach(self, base: PluginSpec[Predictor], name: str = "base") -> None:
         """For ``__post_init__``: refuses a nested predictor with a shorter horizon.

@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
+Setting = tuple[str, str, Any]
+"""Whose option it is, its name and its value."""
 STDOUT: Final = Path("-")
 PLUGIN_HELP: Final = "a name of `dosplan list`, module:Class or path/to/file.py:Class"
 SOURCE_HELP: Final = (
@@ -102,6 +104,70 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
         parser: The subcommand's parser.
     """
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="default: %(default)s")
+
+
+def add_loop(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declares ``--loop`` and ``--set`` for a command that drives nothing.
+
+    Args:
+        parser: The subcommand's parser.
+        what: What becomes of the loop.
+    """
+    parser.add_argument("--loop", metavar="NAME", help=f"{what} (default: ideal)")
+    parser.add_argument(
+        "--set",
+        dest="settings",
+        type=setting_of("loop"),
+        action="append",
+        metavar="loop.NAME=VALUE",
+        help="an option of the loop, such as loop.sensing.position=0.3; may be given again",
+    )
+
+
+def setting_of(*owners: str) -> Callable[[str], Setting]:
+    """Reads the values of ``--set``.
+
+    Args:
+        owners: What has options: ``planner``, ``loop`` ...
+
+    Returns:
+        Takes ``OWNER.NAME=VALUE`` apart, for ``argparse``.
+    """
+
+    def setting(text: str) -> Setting:
+        from dosplan.system.yaml_text import YamlError, parse_yaml
+
+        key, equals, value = text.partition("=")
+        owner, _, name = key.partition(".")
+        if (
+            owner not in owners
+            or not equals
+            or not all(part.isidentifier() for part in name.split("."))
+        ):
+            forms = [f"{owner}.NAME=VALUE" for owner in owners]
+            raise argparse.ArgumentTypeError(
+                f"{text!r:.100} is not of the form {', '.join(forms[:-1])}"
+                f"{' or ' if len(forms) > 1 else ''}{forms[-1]}"
+            )
+        try:
+            return owner, name, parse_yaml(value)
+        except YamlError as error:
+            raise argparse.ArgumentTypeError(f"{key!r}: the value {error}") from None
+
+    return setting
+
+
+def chosen_settings(settings: Sequence[Setting], owner: str) -> dict[str, Any]:
+    """Finds the options of one owner.
+
+    Args:
+        settings: What ``--set`` was given.
+        owner: The owner.
+
+    Returns:
+        Values by name; of two of one name, the last.
+    """
+    return {name: value for of, name, value in settings if of == owner}
 
 
 def add_moved_source(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from dosplan.cli.arguments import SOURCE_HELP, add_json, add_seed, add_workers, console, show
+from dosplan.cli.arguments import (
+    SOURCE_HELP,
+    add_json,
+    add_loop,
+    add_seed,
+    add_workers,
+    chosen_settings,
+    console,
+    show,
+)
 from dosplan.cli.command import FAILED, OK, CommandError
 
 if TYPE_CHECKING:
@@ -19,6 +28,7 @@ _EXAMPLES: Final = """\
 examples:
   dosplan evaluate my/scenarios --predictor constant-velocity --predictor growing-circle
   dosplan evaluate my/scenarios --methods predictors/simple.yaml --scale-on my/validation
+  dosplan evaluate my/scenarios --predictor dos --loop realistic --set loop.latency=0.5
   dosplan evaluate suite --predictor dos --traffic reactive --futures 20
 """
 
@@ -57,6 +67,7 @@ class EvaluateCommand:
         parser.add_argument(
             "--every", type=int, metavar="N", help="steps between two predictions (default: 5)"
         )
+        add_loop(parser, "measure what a planner gets in that loop of dosplan run")
         parser.add_argument(
             "--futures",
             type=int,
@@ -121,6 +132,8 @@ def _over_recordings(
         source=options.source,
         methods=methods,
         every=5 if options.every is None else options.every,
+        loop=options.loop or "ideal",
+        loop_options=chosen_settings(options.settings or (), "loop"),
         scale_on=options.scale_on,
         workers=options.workers,
         seed=options.seed,
@@ -134,7 +147,7 @@ def _over_futures(
     from dosplan.evaluation.futures import FuturesConfig, evaluate_futures
     from dosplan.evaluation.metrics import COVERAGE
 
-    _refuse(options, ("every", "scale_on"), "does not go with --futures")
+    _refuse(options, ("every", "scale_on", "loop", "settings"), "does not go with --futures")
     if options.traffic is None:
         raise CommandError("--futures needs a --traffic that has several futures, as reactive")
     config = FuturesConfig(
@@ -152,4 +165,5 @@ def _over_futures(
 def _refuse(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
     for name in names:
         if getattr(options, name) is not None:
-            raise CommandError(f"--{name.replace('_', '-')} {why}")
+            option = "set" if name == "settings" else name.replace("_", "-")
+            raise CommandError(f"--{option} {why}")

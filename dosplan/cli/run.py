@@ -7,7 +7,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from dosplan.cli.arguments import (
     PLUGIN_HELP,
@@ -15,8 +15,10 @@ from dosplan.cli.arguments import (
     add_json,
     add_seed,
     add_workers,
+    chosen_settings,
     console,
     is_source,
+    setting_of,
     show,
 )
 from dosplan.cli.command import FAILED, INTERRUPTED, OK, CommandError
@@ -41,7 +43,6 @@ examples:
   dosplan run --planner mine.py:MyPlanner --limit 1 --in-process    stops at breakpoint()
 """
 
-Setting = tuple[str, str, Any]
 Source = str | tuple[str, ...]
 
 
@@ -94,11 +95,11 @@ class RunCommand:
             planner=options.planner,
             predictor=options.predictor,
             traffic=options.traffic,
-            planner_options=_chosen(options.settings, "planner"),
-            predictor_options=_chosen(options.settings, "predictor"),
-            traffic_options=_chosen(options.settings, "traffic"),
+            planner_options=chosen_settings(options.settings, "planner"),
+            predictor_options=chosen_settings(options.settings, "predictor"),
+            traffic_options=chosen_settings(options.settings, "traffic"),
             loop=options.loop,
-            loop_options=_chosen(options.settings, "loop")
+            loop_options=chosen_settings(options.settings, "loop")
             | ({"real_time": True} if options.real_time else {}),
             futures=options.futures,
             arms=tuple(Arm(arm) for arm in options.arms) if options.arms else tuple(Arm),
@@ -204,7 +205,7 @@ def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set",
         dest="settings",
-        type=_setting,
+        type=setting_of("planner", "predictor", "traffic", "loop"),
         action="append",
         default=[],
         metavar="PLUGIN.NAME=VALUE",
@@ -287,28 +288,3 @@ def _what(names: Sequence[str], source: str | None) -> tuple[Source, tuple[str, 
             "sources alone, or the ids alone and their --source"
         )
     return names[0] if len(names) == 1 else tuple(names), ()
-
-
-def _setting(text: str) -> Setting:
-    """``PLUGIN.NAME=VALUE`` as its three parts."""
-    from dosplan.system.yaml_text import YamlError, parse_yaml
-
-    key, equals, value = text.partition("=")
-    plugin, _, name = key.partition(".")
-    if (
-        plugin not in ("planner", "predictor", "traffic", "loop")
-        or not equals
-        or not all(part.isidentifier() for part in name.split("."))
-    ):
-        raise argparse.ArgumentTypeError(
-            f"{text!r:.100} is not of the form planner.NAME=VALUE, predictor.NAME=VALUE, "
-            "traffic.NAME=VALUE or loop.NAME=VALUE"
-        )
-    try:
-        return plugin, name, parse_yaml(value)
-    except YamlError as error:
-        raise argparse.ArgumentTypeError(f"{key!r}: the value {error}") from None
-
-
-def _chosen(settings: list[Setting], plugin: str) -> dict[str, Any]:
-    return {name: value for owner, name, value in settings if owner == plugin}

@@ -8,10 +8,10 @@ listed. Results do not depend on the number of workers.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -23,8 +23,11 @@ from dosplan.evaluation.methods import Method, build, check_labels, settings
 from dosplan.evaluation.metrics import COVERAGE
 from dosplan.evaluation.samples import FileSamples, PredictionError, sample_file
 from dosplan.evaluation.summary import scales, summarise
-from dosplan.evaluation.windows import HORIZONS
+from dosplan.evaluation.windows import HORIZONS, STEPS
+from dosplan.plugins.loops import choose_loop, record_loop
+from dosplan.plugins.settings import SettingsError
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_recording
+from dosplan.simulation.settings import IDEAL, LoopSettings, loop_name
 from dosplan.system.errors import DosplanError, one_line
 from dosplan.system.provenance import describe_environment
 from dosplan.system.workers import cause_of_death, seed_globals, worker_pool
@@ -46,6 +49,8 @@ class EvaluationConfig:
         source: Where the recordings are, as ``dosplan.scenario.find_scenarios`` takes it.
         methods: The methods.
         every: Steps between two observations of a recording.
+        loop: The loop through which the road users are seen, by name.
+        loop_options: What is changed of it.
         scale_on: Recordings on which the sets of OSA@90 are scaled; None scales them on
             ``source`` itself.
         workers: Number of worker processes.
@@ -55,11 +60,31 @@ class EvaluationConfig:
     source: str
     methods: tuple[Method, ...]
     every: int = 5
+    loop: str = "ideal"
+    loop_options: Mapping[str, Any] = field(default_factory=dict)
     scale_on: str | None = None
     workers: int = 1
     seed: int = 0
 
+    @property
+    def chosen_loop(self) -> LoopSettings:
+        """The loop that ``loop`` and ``loop_options`` name."""
+        return choose_loop(self.loop, self.loop_options)
+
     def __post_init__(self) -> None:
+        try:
+            loop = self.chosen_loop
+        except SettingsError as error:
+            raise EvaluationError(str(error)) from None
+        if loop.real_time:
+            raise EvaluationError(
+                "real_time is True; here nothing is driven that takes its time, so set a latency"
+            )
+        if loop.latency_steps >= STEPS:
+            raise EvaluationError(
+                f"latency is {loop.latency} s; it must be less than the {HORIZONS[-1]:g} s that "
+                "are predicted"
+            )
         for name in ("every", "workers"):
             if getattr(self, name) < 1:
                 raise EvaluationError(f"{name} is {getattr(self, name)}; it must be 1 or more")
@@ -87,7 +112,8 @@ def evaluate(
         MethodError: A method cannot be built.
         ScenarioError: There are no scenarios.
     """
-    names = [build(method, config.seed).name for method in config.methods]
+    loop = config.chosen_loop
+    names = [build(method, config.seed, loop).name for method in config.methods]
     files = one_problem_each(config.source)
     reference = [] if config.scale_on is None else one_problem_each(config.scale_on)
     total = len(reference) + len(files)
@@ -114,6 +140,8 @@ def evaluate(
             "failed": failed,
             "windows": sum(len(s.kind) for s in samples),
             "every": config.every,
+            "loop": loop_name(loop),
+            "loop_settings": record_loop(loop),
             "history": HISTORY_STEPS,
             "horizons_s": list(HORIZONS),
             "scaled_on": config.source if config.scale_on is None else config.scale_on,
@@ -122,7 +150,7 @@ def evaluate(
             "max_ratio": MAX_RATIO,
             "seed": config.seed,
             "methods": [
-                {**asdict(method), "name": name, "settings": settings(method)}
+                {**asdict(method), "name": name, "settings": settings(method, loop)}
                 for method, name in zip(config.methods, names, strict=True)
             ],
             **asdict(describe_environment()),
@@ -130,23 +158,26 @@ def evaluate(
     }
 
 
-def sample_path(ref: ScenarioRef, methods: str, every: int, seed: int) -> FileSamples | str:
+def sample_path(
+    ref: ScenarioRef, methods: str, every: int, loop: LoopSettings, seed: int
+) -> FileSamples | str:
     """Evaluates one file; what a worker does.
 
     Args:
         ref: The file.
         methods: The methods as JSON.
         every: Steps between two observations.
+        loop: What is seen, and how late it is acted upon.
         seed: Seed of the run.
 
     Returns:
         Its samples, or one line that says why there are none.
     """
     seed_globals(seed)
-    predictors = predictors_of(methods, seed)
+    predictors = predictors_of(methods, seed, loop)
     seed_globals(seed)
     try:
-        return sample_file(load_recording(ref), predictors, every)
+        return sample_file(load_recording(ref), predictors, every, loop, seed)
     except ScenarioError as error:
         return str(error)  # It names the file.
     except PredictionError as error:
@@ -157,12 +188,15 @@ def sample_path(ref: ScenarioRef, methods: str, every: int, seed: int) -> FileSa
 
 
 @lru_cache(maxsize=1)
-def predictors_of(methods: str, seed: int) -> list[tuple[str, Predictor]]:
+def predictors_of(
+    methods: str, seed: int, loop: LoopSettings = IDEAL
+) -> list[tuple[str, Predictor]]:
     """Makes the predictors of all methods; a worker keeps them from file to file.
 
     Args:
         methods: The methods as JSON.
         seed: Seed of the run.
+        loop: The loop that they are to predict in.
 
     Returns:
         Labels and predictors.
@@ -171,7 +205,7 @@ def predictors_of(methods: str, seed: int) -> list[tuple[str, Predictor]]:
         MethodError: A method cannot be built.
     """
     listed = [Method(**method) for method in json.loads(methods)]
-    return [(method.label, build(method, seed)) for method in listed]
+    return [(method.label, build(method, seed, loop)) for method in listed]
 
 
 def one_problem_each(source: str) -> list[ScenarioRef]:
@@ -236,7 +270,7 @@ def _sample_all(
     files: Sequence[ScenarioRef], config: EvaluationConfig, progress: Callable[[int], None]
 ) -> tuple[list[FileSamples], list[dict[str, str]]]:
     methods = json.dumps([asdict(method) for method in config.methods])
-    arguments = (methods, config.every, config.seed)
+    arguments = (methods, config.every, config.chosen_loop, config.seed)
     return each_file(sample_path, files, arguments, config.workers, progress)
 
 

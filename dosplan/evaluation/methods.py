@@ -19,6 +19,7 @@ from typing import Any, Final
 from dosplan.api import Predictor
 from dosplan.evaluation.windows import STEPS
 from dosplan.plugins.registry import RegistryError, choose_predictor, create_predictor, record
+from dosplan.simulation.settings import IDEAL, LoopSettings
 from dosplan.system.errors import DosplanError, did_you_mean
 from dosplan.system.yaml_text import YamlError, parse_yaml
 
@@ -85,12 +86,13 @@ def check_labels(methods: Sequence[Method]) -> None:
         raise MethodError(f"{count} methods have the label {label!r}; give each its own")
 
 
-def build(method: Method, seed: int) -> Predictor:
+def build(method: Method, seed: int, loop: LoopSettings = IDEAL) -> Predictor:
     """Makes the predictor of a method.
 
     Args:
         method: The method.
         seed: Seed of the run.
+        loop: The loop that it is to predict in.
 
     Returns:
         The predictor.
@@ -99,7 +101,7 @@ def build(method: Method, seed: int) -> Predictor:
         MethodError: It cannot be built, or does not predict far enough.
     """
     try:
-        predictor = create_predictor(method.predictor, seed, method.options)
+        predictor = create_predictor(method.predictor, seed, method.options, loop)
     except RegistryError as error:
         raise MethodError(f"method {method.label!r}: {error}") from error
     if predictor.horizon < STEPS:
@@ -110,11 +112,12 @@ def build(method: Method, seed: int) -> Predictor:
     return predictor
 
 
-def settings(method: Method) -> dict[str, Any]:
+def settings(method: Method, loop: LoopSettings = IDEAL) -> dict[str, Any]:
     """All settings of a method's predictor, defaults included.
 
     Args:
         method: The method.
+        loop: The loop that it is to predict in.
 
     Returns:
         What JSON can hold.
@@ -122,7 +125,7 @@ def settings(method: Method) -> dict[str, Any]:
     Raises:
         RegistryError: There is no such predictor, or an option is wrong.
     """
-    return record(choose_predictor(method.predictor, method.options))
+    return record(choose_predictor(method.predictor, method.options, loop))
 
 
 def _method(entry: Any, where: str) -> Method:

@@ -8,7 +8,7 @@ are recognised by the predicted centres, whatever the methods are called.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import Any
 
@@ -21,6 +21,7 @@ from dosplan.evaluation.limits import REPRESENTATIONS, upper_limits
 from dosplan.evaluation.metrics import displacement
 from dosplan.evaluation.windows import HORIZON_COLUMNS, STEPS, Moment, moments
 from dosplan.geometry import LightIndex, ellipse_area, mahalanobis
+from dosplan.simulation.settings import IDEAL, LoopSettings
 from dosplan.system.errors import DosplanError, failure_place, one_line
 from dosplan.types import (
     USER_HEADING,
@@ -102,17 +103,24 @@ class FileSamples:
 
 
 def sample_file(
-    scenario: Scenario, predictors: Sequence[tuple[str, Predictor]], every: int
+    scenario: Scenario,
+    predictors: Sequence[tuple[str, Predictor]],
+    every: int,
+    loop: LoopSettings = IDEAL,
+    seed: int = 0,
 ) -> FileSamples:
     """Runs all methods on a recording and keeps their samples.
 
     All methods see an observation, as the same object, before the next one is made, so that
-    methods can share the results of costly work.
+    methods can share the results of costly work. The sets are judged as a planner in the loop gets
+    them: without the steps that are past when its plan acts.
 
     Args:
         scenario: The recording.
         predictors: Labels and predictors.
         every: Steps between two observations.
+        loop: What is seen, and how late it is acted upon.
+        seed: Seed of the errors of what is seen.
 
     Returns:
         The samples; without windows where no road user has a future.
@@ -130,13 +138,14 @@ def sample_file(
     kind, speed, light, recorded = [], [], [], []
     index = LightIndex(scenario.road_map)
     methods = [_MethodLog() for _ in predictors]
-    for moment in moments(scenario, every):
+    late = loop.latency_steps
+    reach = min((predictor.horizon for _, predictor in predictors), default=STEPS) - late
+    for moment in moments(scenario, every, loop, seed=seed, reach=max(reach, 0)):
         observation, rows = moment.observation, moment.rows
         kind.append(np.array([KINDS.index(observation.kinds[i]) for i in rows], dtype=np.int8))
-        speed.append(np.abs(observation.states[rows, -1, USER_VELOCITY]).astype(np.float32))
-        ahead = index.ahead(
-            observation.states[rows, -1], observation.size[rows], observation.lights
-        )
+        # Groups are told by the truth, so that a window is in the same one in every loop.
+        speed.append(np.abs(moment.now[:, USER_VELOCITY]).astype(np.float32))
+        ahead = index.ahead(moment.now, moment.size, observation.lights)
         light.append(lights_of(ahead.colour))
         recorded.append(moment.recorded[:, HORIZON_COLUMNS])
         for (label, predictor), log in zip(predictors, methods, strict=True):
@@ -144,7 +153,7 @@ def sample_file(
                 occupancy = predictor.predict(observation)
             except (Exception, SystemExit) as error:
                 raise prediction_failure(label, predictor, error) from error
-            log.add(moment, occupancy)
+            log.add(moment, _when_it_acts(occupancy, late))
     digests = tuple(log.digest.hexdigest() for log in methods)
     return FileSamples(
         family=family_of(scenario.benchmark_id, scenario.tags),
@@ -159,6 +168,19 @@ def sample_file(
             for digest, log in reversed(list(zip(digests, methods, strict=True)))
         },
     )
+
+
+def _when_it_acts(occupancy: Occupancy, late: int) -> Occupancy:
+    """Sets for ``STEPS`` steps after a latency; nothing is predicted at those that are missing."""
+    occupancy = occupancy.later(late)
+    missing = STEPS - occupancy.horizon
+    if missing <= 0:
+        return occupancy
+    column = np.minimum(np.arange(STEPS), occupancy.horizon - 1)
+    valid = occupancy.valid[:, column] & (np.arange(STEPS) < occupancy.horizon)
+    parts = ("centre", "semi_axes", "angle", "heading")
+    repeated = {name: getattr(occupancy, name)[:, column] for name in parts}
+    return replace(occupancy, valid=valid, **repeated)
 
 
 class _MethodLog:

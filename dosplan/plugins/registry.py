@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -20,6 +20,7 @@ from typing import Any, Final
 from dosplan.api import Planner, PluginSpec, Predictor, PredictorSettings
 from dosplan.plugins.files import load_file, loaded_file, local_modules
 from dosplan.plugins.settings import SettingsError, apply_options, plain_settings
+from dosplan.simulation.settings import IDEAL, LoopSettings
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import DosplanError, did_you_mean, failure_place, one_line
 
@@ -127,13 +128,15 @@ def choose_planner(spec: str, options: Mapping[str, object] = _NO_OPTIONS) -> Pl
 
 
 def choose_predictor(
-    spec: str, options: Mapping[str, object] = _NO_OPTIONS
+    spec: str, options: Mapping[str, object] = _NO_OPTIONS, loop: LoopSettings = IDEAL
 ) -> PluginSpec[Predictor]:
     """Finds a predictor and checks its options, without building it.
 
     Args:
         spec: As for ``find_predictor``.
         options: What its settings are to be, see ``dosplan.plugins.settings``.
+        loop: The loop that it is to predict in. Settings that are left to it, of the predictor
+            and of those in its settings, get their values.
 
     Returns:
         Its class and settings.
@@ -141,7 +144,8 @@ def choose_predictor(
     Raises:
         RegistryError: As for ``choose_planner``.
     """
-    return choose_plugin(PluginKind.PREDICTOR, spec, options)
+    chosen: PluginSpec[Predictor] = choose_plugin(PluginKind.PREDICTOR, spec, options)
+    return _settled(chosen, loop)
 
 
 def create_planner(spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS) -> Planner:
@@ -163,7 +167,10 @@ def create_planner(spec: str, seed: int, options: Mapping[str, object] = _NO_OPT
 
 
 def create_predictor(
-    spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS
+    spec: str,
+    seed: int,
+    options: Mapping[str, object] = _NO_OPTIONS,
+    loop: LoopSettings = IDEAL,
 ) -> Predictor:
     """Builds the predictor that ``spec`` names.
 
@@ -171,6 +178,7 @@ def create_predictor(
         spec: As for ``find_predictor``.
         seed: Seed of the run.
         options: As for ``choose_predictor``.
+        loop: As for ``choose_predictor``.
 
     Returns:
         The predictor.
@@ -178,7 +186,9 @@ def create_predictor(
     Raises:
         RegistryError: As for ``choose_predictor``, or its constructor raises.
     """
-    predictor: Predictor = create_plugin(PluginKind.PREDICTOR, spec, seed, options)
+    predictor: Predictor = _built(
+        choose_predictor(spec, options, loop), PluginKind.PREDICTOR, spec, seed
+    )
     return predictor
 
 
@@ -257,7 +267,10 @@ def create_plugin(
     **others: int,
 ) -> Any:
     """Builds a plug-in; as ``create_planner``, of any kind; ``others`` go to its constructor."""
-    chosen = choose_plugin(kind, spec, options)
+    return _built(choose_plugin(kind, spec, options), kind, spec, seed, **others)
+
+
+def _built(chosen: PluginSpec[Any], kind: PluginKind, spec: str, seed: int, **others: int) -> Any:
     try:
         return chosen.build(seed, **others)
     except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
@@ -341,6 +354,20 @@ def _nested(settings: Any) -> list[PluginSpec[Any]]:
         elif is_dataclass(value):
             found += _nested(value)
     return found
+
+
+def _settled(chosen: PluginSpec[Predictor], loop: LoopSettings) -> PluginSpec[Predictor]:
+    """A predictor whose settings, and those of predictors in them, are those for a loop."""
+    settings = chosen.settings
+    nested = {
+        field.name: _settled(value, loop)
+        for field in fields(settings)
+        if isinstance(value := getattr(settings, field.name), PluginSpec)
+        and issubclass(value.plugin, Predictor)
+    }
+    if nested:
+        settings = replace(settings, **nested)
+    return PluginSpec(chosen.plugin, settings.seen_by(exact=not loop.sensing.errs))
 
 
 def _find_nested(base: type[Any], name: str) -> type[Any]:

@@ -58,10 +58,12 @@ def _on(data: Row) -> str:
             f"by the traffic {data['traffic']}, seed {data['seed']}"
         )
     itself = " (the data evaluated itself)" if data["scaled_on_itself"] else ""
+    loop = "" if data.get("loop", "ideal") == "ideal" else f", seen in the loop: {data['loop']}"
     return (
         f"{data['windows']} windows of {data['evaluated']} files of {data['source']} "
-        f"({len(data['failed'])} failed), one every {data['every']} steps.\nOSA@90: sets scaled "
-        f"to cover {100 * data['scaled_to']:g} % of all windows of {data['scaled_on']}{itself}"
+        f"({len(data['failed'])} failed), one every {data['every']} steps{loop}.\n"
+        f"OSA@90: sets scaled to cover {100 * data['scaled_to']:g} % of all windows of "
+        f"{data['scaled_on']}{itself}"
     )
 
 

@@ -199,7 +199,9 @@ def make_plugins(config: RunConfig) -> Plugins:
             several are asked for.
     """
     planner = create_planner(config.planner, config.seed, config.planner_options)
-    predictor = create_predictor(config.predictor, config.seed, config.predictor_options)
+    predictor = create_predictor(
+        config.predictor, config.seed, config.predictor_options, config.chosen_loop
+    )
     late = config.chosen_loop.latency_steps
     if predictor.horizon < planner.look_ahead + late:
         lost = f", of which the loop's latency takes {late}" if late else ""

@@ -220,7 +220,8 @@ def _held(folder: RunFolder) -> Iterator[None]:
 def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
     """Builds the plug-ins once, to check them, and describes the run."""
     planner = choose_planner(config.planner, config.planner_options)
-    predictor = choose_predictor(config.predictor, config.predictor_options)
+    loop = config.chosen_loop
+    predictor = choose_predictor(config.predictor, config.predictor_options, loop)
     traffic = choose_plugin(PluginKind.TRAFFIC, config.traffic, config.traffic_options)
     if config.ranked and issubclass(predictor.plugin, OraclePredictor):
         raise RunError(
@@ -235,13 +236,13 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
         planner=planner.plugin.name,
         predictor=predictor.plugin.name,
         traffic=traffic.plugin.name,
-        loop=loop_name(config.chosen_loop),
-        reproducible=not config.chosen_loop.real_time,
+        loop=loop_name(loop),
+        reproducible=not loop.real_time,
         settings={
             "planner": record(planner),
             "predictor": record(predictor),
             "traffic": record(traffic),
-            "loop": record_loop(config.chosen_loop),
+            "loop": record_loop(loop),
         },
         scenarios=tuple(ref.id for ref in refs),
         digests={

@@ -69,10 +69,14 @@ class SensingSettings:
             raise ValueError(f"range is {self.range}, expected more than 0, or None")
 
     @property
+    def errs(self) -> bool:
+        """Whether road users who are in reach and in sight are seen with errors or gaps."""
+        return any((self.position, self.speed, self.heading, self.size, self.dropout_rate))
+
+    @property
     def exact(self) -> bool:
         """Whether all road users are seen as they are."""
-        errors = (self.position, self.speed, self.heading, self.size, self.dropout_rate)
-        return not any(errors) and self.range is None and not self.occlusion
+        return not self.errs and self.range is None and not self.occlusion
 
 
 @dataclass(frozen=True)

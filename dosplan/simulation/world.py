@@ -75,7 +75,7 @@ class World:
         past = self.traffic.begin(scenario, self.start_step)
         if not isinstance(past, Tracks) or past.steps != self.start_step + 1:
             raise PluginError(f"begin must return Tracks of the steps 0 to {self.start_step}")
-        steps = max(scenario.task.final_step, self.start_step) + 1
+        steps = max(scenario.task.final_step, self.start_step, scenario.tracks.steps - 1) + 1
         self._others = _Others(past, steps)
         self._sensors: Sensors | None = None
         if not loop.sensing.exact:
@@ -229,26 +229,39 @@ class World:
         Raises:
             PluginError: The traffic broke its contract.
         """
-        self._others.add(self.now + 1, self.traffic.step(self.now + 1, self.ego[None]))
+        users = self.traffic.step(self.now + 1, self.ego[None])
+        self._others.add(self.now + 1, users)
         self.start_step = self.now + 1
         self._states, self._inputs = self._states[-1:], []
         self._look_at_lights()
+        if self._sensors is not None:
+            self._sensors.look(self.now, self.scenario.task.vehicle.centre(self.ego), users)
 
 
-def watch(scenario: Scenario, every: int, history: int = HISTORY_STEPS) -> Iterator[Observation]:
+def watch(
+    scenario: Scenario,
+    every: int,
+    history: int = HISTORY_STEPS,
+    *,
+    loop: LoopSettings = IDEAL,
+    seed: int = 0,
+) -> Iterator[Observation]:
     """Walks through a recording, from step 0 to its end.
 
-    The ego stays at its start: only the road users matter.
+    The ego stays at its start: only the road users matter. It sees them as an ego does that drives
+    in the loop, with the same errors and gaps at the same seed.
 
     Args:
         scenario: The recording.
         every: Steps from one observation to the next.
         history: Steps that an observation shows, the present one included.
+        loop: What the ego sees of the road users.
+        seed: Seed of the errors of what it sees.
 
     Yields:
         The observations.
     """
-    world = World(scenario, first_step=0, history=history)
+    world = World(scenario, Replay(seed=seed), first_step=0, history=history, loop=loop)
     for step in range(scenario.tracks.steps):
         if step:
             world.wait()

@@ -9,7 +9,7 @@ from pathlib import Path
 from textwrap import shorten
 from typing import Any, Final
 
-from dosplan.cli.arguments import SOURCE_HELP
+from dosplan.cli.arguments import SOURCE_HELP, add_loop, add_seed, chosen_settings
 from dosplan.cli.command import CommandError
 
 SET_EVERY: Final = 2
@@ -32,6 +32,8 @@ class DataCommand:
             metavar="N",
             help="steps between two scenes of a recording (default: %(default)s)",
         )
+        add_loop(parser, "have the road users seen as in that loop of dosplan run")
+        add_seed(parser)
         parser.add_argument(
             "--workers", type=int, default=1, metavar="N", help="processes (default: %(default)s)"
         )
@@ -47,6 +49,7 @@ class DataCommand:
         """
         from rich.console import Console
 
+        from dosplan.plugins.loops import choose_loop
         from dosplan.report.progress import show_progress
         from dosplan_net.training.cache import CacheError, build_cache
 
@@ -58,6 +61,10 @@ class DataCommand:
                     options.sources,
                     options.out,
                     every=options.every,
+                    loop=choose_loop(
+                        options.loop or "ideal", chosen_settings(options.settings or (), "loop")
+                    ),
+                    seed=options.seed,
                     workers=options.workers,
                     progress=progress,
                 )

@@ -15,7 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +23,11 @@ import numpy.typing as npt
 from dosplan.evaluation.groups import SIMULATED
 from dosplan.geometry import to_body, wrap_angle
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_recording
+from dosplan.simulation.settings import IDEAL, LoopSettings, loop_name
 from dosplan.simulation.world import watch
 from dosplan.system.errors import DosplanError
 from dosplan.system.files import write_json
-from dosplan.types import Scenario
+from dosplan.types import Observation, Scenario, Tracks
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 from dosplan_net.lights import LIGHT_SIZE, describe_lights, find_lights
 
@@ -63,6 +64,7 @@ class WindowCache:
         recordings: R names of the files.
         groups: R names of what was recorded together: the place and the number of its map.
         simulated: R flags: whether the traffic is simulated.
+        loop: Name of the loop through which the road users were seen.
     """
 
     scene_start: npt.NDArray[np.int64]
@@ -82,6 +84,7 @@ class WindowCache:
     recordings: tuple[str, ...]
     groups: tuple[str, ...]
     simulated: tuple[bool, ...]
+    loop: str
 
     @property
     def scenes(self) -> int:
@@ -114,7 +117,7 @@ class WindowCache:
             }
             for name in ("recordings", "groups", "simulated"):
                 arrays[name] = tuple(content[name])
-            return cls(**arrays)
+            return cls(**arrays, loop=str(content.get("loop", loop_name(IDEAL))))
         except CacheError:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -167,6 +170,8 @@ def build_cache(
     out: Path,
     *,
     every: int = 2,
+    loop: LoopSettings = IDEAL,
+    seed: int = 0,
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> BuildReport:
@@ -176,6 +181,8 @@ def build_cache(
         sources: Where the recordings are, as ``dosplan.scenario.find_scenarios`` takes it.
         out: The cache to make; what an interrupted build left there is used.
         every: Steps between two scenes of a recording.
+        loop: The loop through which the road users are seen; what comes is as recorded.
+        seed: Seed of the errors of what is seen.
         workers: Processes.
         progress: Called with how many recordings are done, and of how many.
 
@@ -192,13 +199,16 @@ def build_cache(
         (out / "shards").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CacheError(f"{out}: cannot be written ({error.strerror}); name another") from None
-    jobs = [(ref, out / "shards" / f"{_digest(ref.path, every)}.npz", every) for ref in refs]
+    jobs = [
+        _Job(ref, out / "shards" / f"{_digest(ref.path, every, loop, seed)}.npz", every, loop, seed)
+        for ref in refs
+    ]
     answers: list[str | None] = []
     with ProcessPoolExecutor(max_workers=workers) as pool:
         for answer in pool.map(_extract_to, jobs, chunksize=4):
             answers.append(answer)
             progress(len(answers), len(jobs))
-    done = list(zip(refs, (shard for _, shard, _ in jobs), answers, strict=True))
+    done = list(zip(refs, (job.shard for job in jobs), answers, strict=True))
     kept = [(ref, shard) for ref, shard, answer in done if answer is None]
     left_out = {
         "unreadable": [answer for _, _, answer in done if answer],
@@ -207,26 +217,36 @@ def build_cache(
     if not kept:
         why = f"; the first: {left_out['unreadable'][0]}" if left_out["unreadable"] else ""
         raise CacheError(f"no windows in {len(jobs)} recordings{why}")
-    return _join(kept, left_out, out, every)
+    return _join(kept, left_out, out, {"every": every, "loop": loop_name(loop)})
 
 
-def _digest(path: Path, every: int) -> str:
+class _Job(NamedTuple):
+    """A recording whose windows go into a shard."""
+
+    ref: ScenarioRef
+    shard: Path
+    every: int
+    loop: LoopSettings
+    seed: int
+
+
+def _digest(path: Path, every: int, loop: LoopSettings, seed: int) -> str:
     """Name of a shard: a digest of what its content depends on."""
-    key = sha256(f"{FORMAT} {every} {path.name} ".encode())
+    key = sha256(f"{FORMAT} {every} {loop} {seed} {path.name} ".encode())
     key.update(path.read_bytes())
     return key.hexdigest()[:24]
 
 
-def _extract_to(job: tuple[ScenarioRef, Path, int]) -> str | None:
+def _extract_to(job: _Job) -> str | None:
     """Writes a recording's shard; returns None, why it cannot be read, or ``EMPTY``."""
-    ref, shard, every = job
+    ref, shard = job.ref, job.shard
     if _readable(shard):
         return None
     try:
         scenario = load_recording(ref)
     except ScenarioError as error:
         return str(error)
-    arrays = _extract(scenario, every)
+    arrays = _extract(scenario, job)
     if arrays is None:
         return EMPTY
     part = shard.with_suffix(".part.npz")
@@ -243,7 +263,7 @@ def _readable(shard: Path) -> bool:
         return False
 
 
-def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | None:
+def _extract(scenario: Scenario, job: _Job) -> dict[str, npt.NDArray[Any]] | None:
     tracks = scenario.tracks
     pieces, index = cut_map(scenario.road_map), find_lights(scenario.road_map)
     parts: dict[str, list[npt.NDArray[Any]]] = {
@@ -251,10 +271,10 @@ def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | No
     }
     counts = [0]
     origin = scenario.task.start[:2]
-    for observation in watch(scenario, every, HISTORY):
-        step = observation.step
-        rows = np.flatnonzero(tracks.valid[:, step])
-        future, future_valid = _future(scenario, rows, step)
+    row_of = {name: row for row, name in enumerate(tracks.ids.tolist())}
+    for observation in watch(scenario, job.every, HISTORY, loop=job.loop, seed=job.seed):
+        rows = np.array([row_of[name] for name in observation.ids.tolist()], dtype=np.int64)
+        future, future_valid = _future(observation, tracks, rows)
         if not np.any(future_valid[:, MIN_FUTURE - 1]):
             continue
         features = describe(observation, pieces)
@@ -283,21 +303,26 @@ def _extract(scenario: Scenario, every: int) -> dict[str, npt.NDArray[Any]] | No
 
 
 def _future(
-    scenario: Scenario, rows: npt.NDArray[np.int64], step: int
+    observation: Observation, tracks: Tracks, rows: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """(N, HORIZON, 3) future in each road user's frame and (N, HORIZON) whether it is recorded."""
-    tracks = scenario.tracks
-    columns = step + 1 + np.arange(HORIZON)
+    """(N, HORIZON, 3) future in each road user's frame and (N, HORIZON) whether it is recorded.
+
+    Those of the tracks' rows ``rows``; the frame is at their pose as it is seen.
+    """
+    columns = observation.step + 1 + np.arange(HORIZON)
     index = np.ix_(rows, np.minimum(columns, tracks.steps - 1))
     valid = tracks.valid[index] & (columns < tracks.steps)
-    now = tracks.states[rows, step]
+    now = observation.states[:, -1]
     states = np.where(valid[..., None], tracks.states[index][..., :3], now[:, None, :3])
     turned = wrap_angle(states[..., 2] - now[:, None, 2])
     return np.concatenate((to_body(states[..., :2], now[:, :3]), turned[..., None]), axis=-1), valid
 
 
 def _join(
-    kept: list[tuple[ScenarioRef, Path]], left_out: dict[str, list[str]], out: Path, every: int
+    kept: list[tuple[ScenarioRef, Path]],
+    left_out: dict[str, list[str]],
+    out: Path,
+    made: dict[str, Any],
 ) -> BuildReport:
     """Writes the shards one after another into the arrays of a cache."""
     writers = {name: _Writer(out / f"{name}.npy", dtype) for name, (_, dtype) in _LAYOUT.items()}
@@ -322,7 +347,7 @@ def _join(
     names = [ref.path.name for ref, _ in kept]
     content = {
         "format": FORMAT,
-        "every": every,
+        **made,
         "scenes": first[_SCENE],
         "windows": first[_WINDOW],
         "recordings": names,

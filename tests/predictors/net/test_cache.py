@@ -18,8 +18,10 @@ from dosplan_net.training.cache import (
     recorded_together,
 )
 
+from dosplan.geometry import to_body
 from dosplan.scenario import find_scenarios, load_scenario
-from dosplan.simulation.world import World
+from dosplan.simulation.settings import LoopSettings, SensingSettings
+from dosplan.simulation.world import World, watch
 from dosplan.system.files import write_json
 from dosplan.types import Scenario
 from tests.predictors.conftest import CACHED, EVERY
@@ -220,3 +222,27 @@ def test_a_damaged_cache_is_refused_in_one_line(
 )
 def test_cuts_of_one_recording_share_a_group(name: str, group: str) -> None:
     assert recorded_together(name) == group
+
+
+def test_windows_through_a_loop_are_what_its_sensors_see_and_what_really_comes(
+    recordings: Path, tmp_path: Path
+) -> None:
+    sensing = SensingSettings(position=0.2, correlation=0.0, range=60.0)
+    loop = LoopSettings(sensing=sensing)
+    build_cache([recordings], tmp_path / "seen", every=EVERY, loop=loop, seed=4)
+    build_cache([recordings], tmp_path / "true", every=EVERY)
+    seen, true = (WindowCache.open(tmp_path / name) for name in ("seen", "true"))
+    assert (seen.loop, true.loop) == (
+        "ideal, sensing.position=0.2, sensing.correlation=0.0, sensing.range=60.0",
+        "ideal",
+    )
+    assert 0 < len(seen.pose) < len(true.pose)
+    # In the frame of where it is seen, the whole future is off by what the place is off by.
+    scenario = scenario_of(recordings, 0)
+    first = next(watch(scenario, 1, loop=loop, seed=4))
+    for row, name in enumerate(first.ids.tolist()):
+        of = scenario.tracks.ids.tolist().index(name)
+        if seen.future_valid[row, 0]:
+            expected = to_body(scenario.tracks.states[of, 1:2, :2], first.states[row, -1, :3])[0]
+            np.testing.assert_allclose(seen.future[row, 0, :2], expected, atol=1e-4)
+            assert np.linalg.norm(expected - true.future[row, 0, :2]) > 1e-3

@@ -117,7 +117,7 @@ def test_a_loop_that_cannot_be_measured_is_refused(
         ({"loop_options": {"latency": 4.0}}, "latency is 4.0 s; it must be less than the 4 s"),
     ):
         with pytest.raises(EvaluationError, match=message):
-            EvaluationConfig(source=str(tmp_path), methods=(CIRCLE,), **options)  # type: ignore[arg-type]
+            EvaluationConfig(source=str(tmp_path), methods=(CIRCLE,), **options)
     args = ["evaluate", str(tmp_path), "--predictor", "dos", "--futures", "2"]
     assert main([*args, "--traffic", "reactive", "--set", "loop.latency=0.1"]) == 2
     assert "--set does not go with --futures" in capsys.readouterr().err

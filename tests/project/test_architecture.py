@@ -39,10 +39,10 @@ PLUGINS_MAY_IMPORT: Final = {
     "plugins.registry": "*", "plugins.settings": "*",
     # Subcommands that a plug-in's package adds.
     "cli.command": "*/commands.py", "cli.arguments": "*/commands.py",
-    "report.progress": "*/commands.py",
+    "report.progress": "*/commands.py", "plugins.loops": "*/commands.py",
     # What is learned or measured on recordings before a plug-in is used.
     "scenario": "*/training/*, */measure.py, traffic/dosplan_sumo/*",
-    "simulation.world": "*/training/*, */measure.py",
+    "simulation.world": "*/training/*, */measure.py", "simulation.settings": "*/training/*",
     "evaluation.groups": "*/training/*, */calibration.py",
     # What a traffic is.
     "simulation.traffic": "traffic/*",

@@ -43,6 +43,7 @@ _NEW_TABLES: Final = 12  # Pairs of paths that are looked at for the first time 
 _CLOSEST: Final = 0.1  # Smallest gap that is reckoned with, m.
 _COMMITTED: Final = 6.0  # Deceleration beyond which nobody stops for a crossing any more, m/s2.
 _ALIGNED: Final = 0.5  # Cosine of the angle up to which somebody ahead is a leader.
+_DRIFTS: Final = 0.1  # Sine of the angle to a path from which on somebody leaves it to the side.
 _ENTRY: Final = 3.0  # Deceleration that somebody who comes onto the scene may ask for, m/s2.
 _SIGHT_AHEAD: Final = 2.4  # How far ahead courtesy looks, s.
 
@@ -187,7 +188,7 @@ class ReactiveTraffic(Traffic):
                 rows[polite], way[polite], front[polite], centre, velocity, limit[looks[polite]]
             )
         noticed = np.where(away, self._alarm[rows], self._alarm[rows] + dt)
-        self._alarm[rows] = np.where(meets, noticed, 0.0)
+        self._alarm[rows] = np.where(meets, noticed, np.maximum(self._alarm[rows] - dt, 0.0))
         aware = self._aware[rows]
         fresh = meets & ~aware & (needed > chosen.needed_braking)
         fresh &= ~away & (self._alarm[rows] > minds.reaction[rows] - 1e-9)
@@ -660,7 +661,8 @@ def _clears(
     to_right = half_width + seen.half + seen.lateral
     with np.errstate(divide="ignore", invalid="ignore"):
         time = np.where(sideways > 0.0, to_left, to_right) / np.abs(sideways)
-    return np.where(np.abs(sideways) > 0.1, np.maximum(time, 0.0), np.inf)
+    drifts = (np.abs(sideways) > 0.1) & (np.abs(np.sin(seen.turn)) > _DRIFTS)
+    return np.where(drifts, np.maximum(time, 0.0), np.inf)
 
 
 def _is_free(new: FloatArray, size: FloatArray, around: FloatArray, sizes: FloatArray) -> bool:

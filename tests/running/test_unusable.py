@@ -41,7 +41,7 @@ REASONS = {
     "ZAM_Broken-1_1_T-1": "is not complete XML (",
     "ZAM_Edge-1_1_T-1": "part of the ego is off the road at its start",
     "ZAM_Goalless-1_1_T-1": "it has no <goalState>",
-    "ZAM_Interactive-1_1_T-1": "a trajectory",
+    "ZAM_Interactive-1_1_T-1": "first states of its road users",
     "ZAM_Twin-1_1_T-1": "the ego's start overlaps road user 7 (car)",
 }
 """What is said of each unusable file."""

@@ -145,7 +145,13 @@ def choose_predictor(
         RegistryError: As for ``choose_planner``.
     """
     chosen: PluginSpec[Predictor] = choose_plugin(PluginKind.PREDICTOR, spec, options)
-    return _settled(chosen, loop)
+    try:
+        return _settled(chosen, loop)
+    except Exception as error:  # Settings of others may raise anything.
+        raise RegistryError(
+            f"{PluginKind.PREDICTOR.word} {spec!r}: its settings cannot be left to the loop: "
+            f"{one_line(error)}"
+        ) from error
 
 
 def create_planner(spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS) -> Planner:

@@ -18,6 +18,9 @@ groups that are known beforehand (Mondrian), this holds in each group.
   the quantile of d_M of the group at ``SHAPE_LEVEL``; without it, the step with the largest errors
   would decide for all steps. It is estimated on recordings that are used for nothing else (every
   fourth), without which the guarantee would be lost.
+* **Loops**: the windows are seen as a loop between ego and world shows them, and a calibration is
+  for loops that see as well. ``CalibratedFor`` names them; each has a file of its own beside the
+  weights. The latency of a loop does not matter, as steps are counted from what is seen.
 * **Which exchangeability**: coverage is defined over windows, so every window counts alike. But
   windows of one recording resemble each other; only recordings are exchangeable. Coverage on new
   recordings therefore varies more than with n independent windows; ``estimate_coverage`` gives
@@ -81,6 +84,14 @@ class Mode(StrEnum):
 
     PER_STEP = "per_step"
     SIMULTANEOUS = "simultaneous"
+
+
+class CalibratedFor(StrEnum):
+    """The loop whose road users sets are calibrated on; ``AUTO`` leaves it to the run."""
+
+    AUTO = "auto"
+    IDEAL = "ideal"
+    REALISTIC = "realistic"
 
 
 class KindClass(IntEnum):
@@ -194,7 +205,7 @@ class Calibration:
             raise ShapeError(f"scores have shape {scores.shape}, recording {rows}; not (n, T), (n)")
         if np.any(scores < 0) or np.any(np.isinf(scores)):
             raise ValueError("scores hold a negative or an infinite d_M; set it to NaN")
-        index = _group_index(speed, kinds, len(scores))
+        index = group_index(speed, kinds, len(scores))
         _, recording = np.unique(recording, return_inverse=True)
         samples = {}
         for source in SOURCES:
@@ -231,6 +242,10 @@ class Calibration:
                 With the scores of a coarser group instead, a higher level could give a group
                 that is hard to predict lower factors.
         """
+        return self.table(level)[group_index(speed, kinds, len(kinds))]
+
+    def table(self, level: float) -> FloatArray:
+        """(G, T) factors of the ``GROUPS``, see ``factors``."""
         if not 0 < level < 1:
             raise ValueError(f"level is {level:g}, expected a share between 0 and 1")
         if level > self.highest_level:
@@ -240,8 +255,34 @@ class Calibration:
                 "calibrate on more recordings"
             )
         column = int(np.searchsorted(LEVELS, level - _ROUNDING))
-        table = np.multiply(self.shape, self.quantiles[:, :, column], dtype=np.float64)
-        return table[_group_index(speed, kinds, len(kinds))]
+        return np.multiply(self.shape, self.quantiles[:, :, column], dtype=np.float64)
+
+    def table_like(self, other: Calibration, scale: float) -> FloatArray:
+        """Factors that cover here what one factor covers where another calibration was made.
+
+        Args:
+            other: The other calibration, of as many steps.
+            scale: The factor there, 0 or more.
+
+        Returns:
+            (G, T) factors, which do not decrease with ``scale``: the quantile here at the level
+            whose quantile there is ``scale``, linear in between. Beyond the quantiles that are
+            kept, the factor is in proportion to the outermost.
+        """
+        here, there = (
+            np.multiply(c.shape[..., None], c.quantiles, dtype=np.float64) for c in (self, other)
+        )
+        after = np.sum(there < scale, axis=2)
+        inside = np.clip(after, 1, len(LEVELS) - 1)[..., None]
+        (h0, h1), (t0, t1) = (
+            [np.take_along_axis(q, inside - 1 + k, axis=2)[..., 0] for k in (0, 1)]
+            for q in (here, there)
+        )
+        share = (scale - t0) / np.maximum(t1 - t0, _ROUNDING)
+        factors = h0 + np.clip(share, 0.0, 1.0) * (h1 - h0)
+        factors = np.where(after == 0, scale * here[..., 0] / there[..., 0], factors)
+        above = scale * here[..., -1] / there[..., -1]
+        return np.asarray(np.where(after == len(LEVELS), above, factors))
 
 
 class _Sample(NamedTuple):
@@ -288,8 +329,20 @@ def _quantiles(scores: FloatArray, levels: FloatArray) -> npt.NDArray[np.float32
     return np.asarray(np.ldexp(np.ceil(mantissa * 4096) / 4096, exponent), dtype=np.float32)
 
 
-def _group_index(speed: FloatArray, kinds: Kinds, n: int) -> IntArray:
-    """(n,) index of each road user's group in ``GROUPS``."""
+def group_index(speed: FloatArray, kinds: Kinds, n: int) -> IntArray:
+    """Finds the groups of road users.
+
+    Args:
+        speed: (n,) speed now, m/s.
+        kinds: n kinds.
+        n: Their number.
+
+    Returns:
+        (n,) index of each one's group in ``GROUPS``.
+
+    Raises:
+        ShapeError: The arguments do not fit together, or a speed is not finite.
+    """
     speed = np.asarray(speed, dtype=np.float64)
     if speed.shape != (n,) or len(kinds) != n or not np.all(np.isfinite(speed)):
         raise ShapeError(
@@ -351,6 +404,21 @@ def estimate_coverage(covered: FloatArray, recording: IntArray) -> Coverage:
         error = np.sqrt(between) / windows
         effective = np.where(error > 0, rate * (1 - rate) / error**2, np.nan)
     return Coverage(rate, error, effective, windows.astype(np.int64), recordings)
+
+
+def calibration_file(weights: Path, loop: CalibratedFor) -> Path:
+    """Where the calibrations of a module lie.
+
+    Args:
+        weights: The module's weights, ``NAME.safetensors``.
+        loop: The loop that they are for.
+
+    Returns:
+        ``NAME.calibration.npz`` beside them, ``NAME.LOOP.calibration.npz`` for another loop than
+        the ideal one.
+    """
+    part = "" if loop is CalibratedFor.IDEAL else f".{loop}"
+    return weights.with_suffix(f"{part}.calibration.npz")
 
 
 def save_calibrations(path: Path, calibrations: Iterable[Calibration]) -> None:

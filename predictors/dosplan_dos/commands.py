@@ -20,7 +20,7 @@ from dosplan.cli.command import CommandError
 
 
 class TrainCommand:
-    """``dosplan train net|lights|dos``: trains the network, its response to lights or the sets."""
+    """``dosplan train``: the network, its response to lights, the sets or their calibration."""
 
     summary = "train the trajectory network, its response to traffic lights or the occupancy sets"
 
@@ -28,8 +28,9 @@ class TrainCommand:
         """Declares the arguments."""
         parser.add_argument(
             "what",
-            choices=("net", "lights", "dos"),
-            help="the network, its response to traffic lights, or sets on it",
+            choices=("net", "lights", "dos", "calibration"),
+            help="the network, its response to traffic lights, sets on it, or nothing but the "
+            "calibration of sets that are trained, for the loop of the windows",
         )
         parser.add_argument("--config", type=Path, required=True, metavar="FILE.yaml")
         parser.add_argument(
@@ -38,10 +39,14 @@ class TrainCommand:
             action="append",
             required=True,
             metavar="CACHE",
-            help="windows to learn from (repeatable)",
+            help="windows to learn from; for calibration, of recordings that the network was not "
+            "trained on (repeatable)",
         )
         parser.add_argument(
-            "--validation", type=Path, required=True, metavar="CACHE", help="windows to select on"
+            "--validation",
+            type=Path,
+            metavar="CACHE",
+            help="windows to select on; not for calibration",
         )
         parser.add_argument(
             "--out", type=Path, required=True, metavar="DIR", help="weights, logs, checkpoints"
@@ -50,13 +55,13 @@ class TrainCommand:
             "--network",
             type=Path,
             metavar="DIR",
-            help="for lights and dos: the --out folder of the network's training",
+            help="for lights, dos and calibration: the --out folder of the network's training",
         )
         parser.add_argument(
             "--only",
             action="append",
             metavar="NAME",
-            help="only this part: net, fold-0, ...; for dos, a module (repeatable)",
+            help="only this part: net, fold-0, ...; for dos and calibration, a module (repeatable)",
         )
         parser.add_argument(
             "--threads", type=int, default=1, metavar="N", help="threads (default: %(default)s)"
@@ -72,8 +77,15 @@ class TrainCommand:
         from dosplan_net.training.cache import CacheError
         from dosplan_net.weights import WeightsError
 
+        if (options.validation is None) != (options.what == "calibration"):
+            raise CommandError("--validation CACHE is needed, but for calibration, which has none")
         torch.set_num_threads(options.threads)
-        train = {"net": train_network, "lights": train_response, "dos": _train_sets}
+        train = {
+            "net": train_network,
+            "lights": train_response,
+            "dos": _train_sets,
+            "calibration": _calibrate_sets,
+        }
         try:
             train[options.what](options)
         except (CacheError, WeightsError) as error:
@@ -148,6 +160,15 @@ def _train_sets(options: argparse.Namespace) -> None:
     trained = train_sets(names, config, options.data, options.validation, network, options.out, say)
     for name, figures in trained:
         say_best(name, figures)
+
+
+def _calibrate_sets(options: argparse.Namespace) -> None:
+    from dosplan_dos.training import SetTraining, calibrate_sets
+
+    config = read_training(options.config, SetTraining)
+    names = chosen_parts(options.only, config.calibrated)
+    for told in calibrate_sets(names, options.data, network_folder(options), options.out):
+        say(told)
 
 
 TRAIN: Final = TrainCommand()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 from dosplan_net.encoder import Encoded, shared_encoder, shipped_weights
@@ -19,12 +19,20 @@ from dosplan.geometry import to_body
 from dosplan.types import (
     USER_HEADING,
     USER_VELOCITY,
+    FloatArray,
     Observation,
     Occupancy,
     PlanningTask,
     RoadMap,
 )
-from dosplan_dos.calibration import Calibration, Mode, load_calibrations
+from dosplan_dos.calibration import (
+    CalibratedFor,
+    Calibration,
+    Mode,
+    calibration_file,
+    group_index,
+    load_calibrations,
+)
 from dosplan_dos.grid import every_step
 
 if TYPE_CHECKING:
@@ -59,6 +67,11 @@ class DosSettings(PredictorSettings):
             sets that cover nine in ten block lanes that are free. Not used with ``coverage``.
         coverage: Share of the true centres that the sets are to cover, in (0, 1), in place of
             ``scale``; the sets are calibrated on recordings for it.
+        calibration: The loop that the sets are calibrated for: ``ideal``, where road users are
+            seen exactly, or ``realistic``, as its sensors see them. A ``scale`` then stands for
+            the coverage that it has in the ideal loop, so that the sets know of the errors of
+            what is seen. ``auto`` follows the run: ``realistic`` where its sensors err, unless
+            only a scale is asked for and the module is not calibrated for it.
         simultaneous: Whether to cover all steps of the horizon at once with that probability,
             instead of each step.
         base: Where the centres come from; by default the network of ``network``.
@@ -74,6 +87,7 @@ class DosSettings(PredictorSettings):
     sets: str = DEFAULT_SETS
     scale: float = DEFAULT_SCALE
     coverage: float | None = None
+    calibration: CalibratedFor = CalibratedFor.AUTO
     simultaneous: bool = False
     base: PluginSpec[Predictor] | None = None
     network: Path | None = None
@@ -107,6 +121,17 @@ class DosSettings(PredictorSettings):
         """
         return Path(self.sets) if self.sets.endswith(WEIGHTS) else shipped_sets(self.sets)
 
+    def seen_by(self, *, exact: bool) -> Self:
+        """Chooses the calibration that is left to the loop."""
+        if self.calibration is not CalibratedFor.AUTO:
+            return self
+        chosen = CalibratedFor.IDEAL
+        if not exact:
+            there = calibration_file(self.sets_file, CalibratedFor.REALISTIC).is_file()
+            if there or self.coverage is not None:
+                chosen = CalibratedFor.REALISTIC
+        return replace(self, calibration=chosen)
+
 
 class DosPredictor(Predictor):
     """Ellipses that a trained module puts around predicted centres.
@@ -120,7 +145,7 @@ class DosPredictor(Predictor):
     settings = DosSettings
 
     def __init__(self, *, seed: int = 0, settings: DosSettings = DosSettings()) -> None:
-        """Loads the network, the module and, where a coverage is asked for, its calibration.
+        """Loads the network, the module and, where it is used, its calibration.
 
         Args:
             seed: Seed of the run, for the trajectory predictor; nothing here is random.
@@ -128,7 +153,7 @@ class DosPredictor(Predictor):
 
         Raises:
             EngineError: The engine is missing, or cannot run these weights.
-            ValueError: There is no calibration for the coverage.
+            ValueError: There is no calibration for the coverage or the loop.
             WeightsError: The weights cannot be read.
         """
         super().__init__(seed=seed, settings=settings)
@@ -143,22 +168,15 @@ class DosPredictor(Predictor):
             ),
         )
         self.base: Predictor = (settings.base or own).build(seed)
-        self.coverage = coverage = settings.coverage
-        # Calibrated factors are for the sets as they were trained.
-        self.scale = settings.scale if coverage is None else 1.0
-        self._files = (settings.network or shipped_weights(), settings.sets_file)
-        network, sets = self._files
+        network, sets = settings.network or shipped_weights(), settings.sets_file
+        self._scale = settings.scale
+        self._table, calibrations = _factors(settings)
+        self._files = (network, sets, *calibrations)
         self._module = shared_module(sets, settings.engine, settings.threads)
         self.encoder = shared_encoder(network, settings.engine, settings.threads, settings.lights)
-        self._calibration = None
-        if coverage is not None:
-            mode = Mode.SIMULTANEOUS if settings.simultaneous else Mode.PER_STEP
-            self._calibration = shipped_calibration(sets, mode)
-            # A level that is too high is refused here, not in the first episode.
-            self._calibration.factors(coverage, np.zeros(0), [])
 
     def weight_files(self) -> tuple[Path, ...]:
-        """The network, the module and what the base uses."""
+        """The network, the module, its calibrations where it uses any, and what the base uses."""
         return tuple(dict.fromkeys((*self._files, *self.base.weight_files())))
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
@@ -186,14 +204,12 @@ class DosPredictor(Predictor):
                 history=encoded.history,
             )
             lengths, turned = (array.astype(np.float64) for array in made)
-            lengths *= self.scale
-            if self._calibration is not None and self.coverage is not None:
-                factors = self._calibration.factors(
-                    self.coverage,
-                    np.abs(observation.states[moving, -1, USER_VELOCITY]),
-                    [observation.kinds[row] for row in moving],
-                )
-                lengths *= factors[..., None]
+            if self._table is None:
+                lengths *= self._scale
+            else:
+                speed = np.abs(observation.states[moving, -1, USER_VELOCITY])
+                kinds = [observation.kinds[row] for row in moving]
+                lengths *= self._table[group_index(speed, kinds, len(kinds)), :, None]
             semi_axes[moving] = every_step(lengths)[:, : self.horizon]
             double = every_step(turned)[:, : self.horizon]
             heading = observation.states[moving, -1, USER_HEADING, None]
@@ -219,6 +235,27 @@ class DosPredictor(Predictor):
         beyond = np.repeat(last[:, -1:], HORIZON - last.shape[1], axis=1)
         local = to_body(np.concatenate((last, beyond), axis=1), now[:, :3])
         return local.astype(np.float32)
+
+
+def _factors(settings: DosSettings) -> tuple[FloatArray | None, tuple[Path, ...]]:
+    """(G, T) factors on the sets as they were trained, and the files that they come from.
+
+    None where all have the factor ``scale``. Outside of a run, ``AUTO`` is the ideal loop.
+    """
+    sets, loop = settings.sets_file, settings.calibration
+    if loop is CalibratedFor.AUTO:
+        loop = CalibratedFor.IDEAL
+    if settings.coverage is not None:
+        mode = Mode.SIMULTANEOUS if settings.simultaneous else Mode.PER_STEP
+        # A level that is too high is refused here, not in the first episode.
+        table = shipped_calibration(sets, mode, loop).table(settings.coverage)
+        return table, (calibration_file(sets, loop),)
+    if loop is CalibratedFor.IDEAL:
+        return None, ()
+    loops = (loop, CalibratedFor.IDEAL)
+    own, ideal = (shipped_calibration(sets, Mode.PER_STEP, of) for of in loops)
+    files = tuple(calibration_file(sets, of) for of in loops)
+    return own.table_like(ideal, settings.scale), files
 
 
 def shipped_sets(name: str) -> Path:
@@ -261,12 +298,13 @@ def shared_module(weights: Path, engine: Engine, threads: int) -> Function:
 
 
 @lru_cache(maxsize=8)
-def shipped_calibration(weights: Path, mode: Mode) -> Calibration:
+def shipped_calibration(weights: Path, mode: Mode, loop: CalibratedFor) -> Calibration:
     """The calibration in the folder of a module's weights.
 
     Args:
         weights: The weights.
         mode: Per step or simultaneous.
+        loop: The loop that it is for.
 
     Returns:
         The calibration.
@@ -274,10 +312,10 @@ def shipped_calibration(weights: Path, mode: Mode) -> Calibration:
     Raises:
         ValueError: There is none.
     """
-    path = weights.with_suffix(".calibration.npz")
+    path = calibration_file(weights, loop)
     if not path.is_file():
         raise ValueError(
-            f"{path.name}: the sets {weights.stem!r} were never calibrated; "
-            "leave coverage out or calibrate them with dosplan train dos"
+            f"{path.name}: the sets {weights.stem!r} were never calibrated for the loop {loop}; "
+            "calibrate them with dosplan train calibration, or leave coverage and calibration out"
         )
     return load_calibrations(path)[mode]

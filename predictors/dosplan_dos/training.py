@@ -14,18 +14,30 @@ from dosplan_net.build import load_network
 from dosplan_net.features import kinds_of
 from dosplan_net.network import constant_velocity
 from dosplan_net.training.batches import Selection
-from dosplan_net.training.cache import WindowCache
+from dosplan_net.training.cache import CacheError, WindowCache
 from dosplan_net.training.optimise import FitSettings, fit
-from dosplan_net.training.train import NET, cross_fitted_trajectories, run_over
+from dosplan_net.training.train import NET, assign_folds, cross_fitted_trajectories, run_over
 from dosplan_net.weights import load_model, load_weights, save_weights
 from torch import Tensor, nn
 
-from dosplan_dos.calibration import Calibration, Mode, save_calibrations
+from dosplan.types import RoadUserKind
+from dosplan_dos.calibration import (
+    SPEED_EDGES,
+    CalibratedFor,
+    Calibration,
+    Mode,
+    calibration_file,
+    estimate_coverage,
+    load_calibrations,
+    save_calibrations,
+)
 from dosplan_dos.losses import LossConfig
 from dosplan_dos.module import CONSTANT_VELOCITY, OccupancyModule, SetConfig
 from dosplan_dos.shapes import Ellipses, Variant, grid_steps
 
 MODEL = "occupancy-sets"
+LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.99)  # Of which a calibration reports what it covers.
+FOLDS = 5
 WANTED = 0.9  # Coverage at which areas are compared in validation.
 SECONDS = (4, 9, 14, 19)  # Columns of the grid at 1, 2, 3 and 4 s.
 
@@ -235,6 +247,7 @@ def train_sets(
     """
     opened = [WindowCache.open(path) for path in caches]
     held_out = [WindowCache.open(validation)]
+    loop = _loop_of([*opened, *held_out])
     weights = network / f"{NET}.safetensors"
     trajectories = cross_fitted_trajectories(caches, network) if training.cross_fitted else None
     for base in dict.fromkeys(training.modules[name].base for name in names):
@@ -244,10 +257,113 @@ def train_sets(
             config = training.modules[name]
             yield name, train_module(name, config, training, windows, validating, out, report)
             if name in training.calibrated:
-                module = load_module(out / f"{name}.safetensors")
-                save_calibrations(
-                    out / f"{name}.calibration.npz", calibrate(module, [windows, validating])
-                )
+                target = out / f"{name}.safetensors"
+                made = calibrate(load_module(target), [windows, validating])
+                save_calibrations(calibration_file(target, loop), made)
+
+
+def calibrate_sets(
+    names: Sequence[str], caches: Sequence[Path], network: Path, out: Path
+) -> Iterator[str]:
+    """Calibrates trained modules anew, for the loop that their windows were seen through.
+
+    Args:
+        names: The modules.
+        caches: Caches of recordings that the network was not trained on.
+        network: Folder of the trajectory network's training.
+        out: Folder of the modules' weights; the calibrations are written there.
+
+    Yields:
+        For each module, tables of what it covers of recordings that were left out, in Markdown.
+
+    Raises:
+        CacheError: The windows are of several loops, of one that has no name, or too few.
+        WeightsError: A module is not trained yet.
+    """
+    opened = [WindowCache.open(path) for path in caches]
+    loop = _loop_of(opened)
+    folds = np.concatenate(assign_folds(opened, FOLDS))
+    for name in names:
+        weights = out / f"{name}.safetensors"
+        module = load_module(weights)
+        windows = encode_windows(opened, network / f"{NET}.safetensors", module.config.base)
+        try:
+            told = _left_out(module, windows, folds, weights)
+            save_calibrations(calibration_file(weights, loop), calibrate(module, [windows]))
+        except ValueError as error:
+            raise CacheError(f"{name} cannot be calibrated on these windows: {error}") from None
+        yield f"{name}, for the loop {loop}\n\n{told}"
+
+
+def _loop_of(caches: Sequence[WindowCache]) -> CalibratedFor:
+    """The loop that windows were seen through."""
+    found = {cache.loop for cache in caches}
+    known = [str(loop) for loop in CalibratedFor if loop is not CalibratedFor.AUTO]
+    if len(found) > 1 or not found <= set(known):
+        raise CacheError(
+            f"the windows were seen through {' and '.join(sorted(found))}; sets are calibrated for "
+            f"one of {', '.join(known)}: build the caches with dosplan data build --loop NAME"
+        )
+    return CalibratedFor(found.pop())
+
+
+def _left_out(
+    module: OccupancyModule, windows: Windows, folds: npt.NDArray[np.int64], weights: Path
+) -> str:
+    """What sets cover of recordings on which they were not calibrated, place by place.
+
+    The calibration for the ideal loop is shown beside, where there is one.
+    """
+    score, speed, kinds, recording = _columns(module, [windows])
+    fold, classes = folds[recording], np.array(kinds, dtype=object)
+    ideal = calibration_file(weights, CalibratedFor.IDEAL)
+    before = load_calibrations(ideal)[Mode.PER_STEP] if ideal.is_file() else None
+    fitted = [
+        Calibration.fit(score[rest], speed[rest], classes[rest], recording[rest], Mode.PER_STEP)
+        for rest in (fold != k for k in range(FOLDS))
+    ]
+
+    def share(factors: npt.NDArray[np.float64], rows: npt.NDArray[np.bool_]) -> str:
+        covered = np.where(np.isfinite(score), score <= factors, np.nan)[rows]
+        found = estimate_coverage(covered[:, SECONDS], recording[rows])
+        rates = zip(found.rate, found.standard_error, strict=True)
+        return " / ".join(f"{100 * rate:.1f} ±{100 * error:.1f}" for rate, error in rates)
+
+    def row(head: str, level: float, rows: npt.NDArray[np.bool_]) -> str:
+        factors = np.full(score.shape, np.nan)
+        for k, calibration in enumerate(fitted):
+            part = fold == k
+            factors[part] = calibration.factors(level, speed[part], classes[part])
+        cells = [head, share(factors, rows)]
+        if before is not None:
+            cells.append(share(before.factors(level, speed, kinds), rows))
+        return f"| {' | '.join(cells)} |"
+
+    heads = ["covered at 1 / 2 / 3 / 4 s, %"]
+    if before is not None:
+        heads.append("as calibrated for the loop ideal, %")
+    line = "|--" * (len(heads) + 1) + "|"
+    everyone = np.ones(len(score), dtype=np.bool_)
+    bins = np.searchsorted(SPEED_EDGES, speed, side="right")
+    edges = ("0", *(f"{edge:g}" for edge in SPEED_EDGES), "inf")
+    return "\n".join(
+        [
+            f"| asked for | {' | '.join(heads)} |",
+            line,
+            *(
+                row(f"{100 * level:g} %", level, everyone)
+                for level in LEVELS
+                if level <= min(calibration.highest_level for calibration in fitted)
+            ),
+            f"\n| {100 * WANTED:g} %, by speed now | {' | '.join(heads)} |",
+            line,
+            *(
+                row(f"{edges[b]} to {edges[b + 1]} m/s", WANTED, bins == b)
+                for b in range(len(edges) - 1)
+                if np.any(bins == b)
+            ),
+        ]
+    )
 
 
 def calibrate(module: OccupancyModule, parts: Sequence[Windows]) -> list[Calibration]:
@@ -262,6 +378,16 @@ def calibrate(module: OccupancyModule, parts: Sequence[Windows]) -> list[Calibra
     Returns:
         The calibrations of each step and of the whole horizon.
     """
+    columns = _columns(module, parts)
+    return [Calibration.fit(*columns, mode) for mode in Mode]
+
+
+def _columns(
+    module: OccupancyModule, parts: Sequence[Windows]
+) -> tuple[
+    npt.NDArray[np.float64], npt.NDArray[np.float64], list[RoadUserKind], npt.NDArray[np.int64]
+]:
+    """Score, speed, kind and recording of all windows, as ``Calibration.fit`` takes them."""
     score, speed, kinds, recording = [], [], [], []
     first = 0
     for windows in parts:
@@ -270,8 +396,7 @@ def calibrate(module: OccupancyModule, parts: Sequence[Windows]) -> list[Calibra
         kinds += kinds_of(windows.static)
         recording.append(windows.recording.numpy() + first)
         first = int(recording[-1].max()) + 1
-    columns = np.concatenate(score), np.concatenate(speed), kinds, np.concatenate(recording)
-    return [Calibration.fit(*columns, mode) for mode in Mode]
+    return np.concatenate(score), np.concatenate(speed), kinds, np.concatenate(recording)
 
 
 def describe_config(config: SetConfig) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from dosplan_net.training.cache import WindowCache
 
 from dosplan.cli.command import Command, CommandError, offered_commands
 from tests.predictors.conftest import CACHED
-from tests.support.models import save_network
+from tests.support.models import save_network, save_sets
 
 
 def run(command: Command, *arguments: object) -> int:
@@ -121,3 +121,42 @@ def test_numbers_may_be_written_as_yaml_likes(window_cache: Path, tmp_path: Path
     module = load_module(tmp_path / "out" / "a.safetensors")
     assert (module.config.variant, module.config.loss.alpha) == ("v2", 2.0)
     assert load_module(tmp_path / "out" / "b.safetensors").config.base == "constant-velocity"
+
+
+def test_calibration_is_for_the_loop_of_the_windows_and_leaves_the_others(
+    recordings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def windows(name: str, *loop: str) -> Path:
+        source, out = ("build", recordings, "--every", 1), tmp_path / name
+        assert run(DATA, *source, "--out", out, *loop) == 0
+        return out
+
+    true, noisy = windows("true"), windows("noisy", "--loop", "realistic")
+    config, out = tmp_path / "config.yaml", tmp_path / "out"
+    config.write_text("calibrated: [a]\nmodules: {a: {features: 12, hidden: 8}}")
+    out.mkdir()
+    save_network(tmp_path / "net.safetensors")
+    save_sets(out / "a.safetensors")
+
+    def calibrated(*caches: Path) -> int:
+        data = [part for cache in caches for part in ("--data", cache)]
+        options = ("--config", config, "--network", tmp_path, "--out", out)
+        return run(TRAIN, "calibration", *data, *options)
+
+    assert calibrated(true) == 0
+    ideal = (out / "a.calibration.npz").read_bytes()
+    assert "as calibrated" not in capsys.readouterr().out
+    assert calibrated(noisy) == 0
+    told = capsys.readouterr().out
+    assert "a, for the loop realistic" in told
+    assert "| 90 % |" in told
+    assert "as calibrated for the loop ideal" in told
+    assert (out / "a.realistic.calibration.npz").is_file()
+    assert (out / "a.calibration.npz").read_bytes() == ideal
+    with pytest.raises(CommandError, match="seen through ideal and realistic; sets are calibrated"):
+        calibrated(true, noisy)
+    with pytest.raises(CommandError, match="--validation CACHE is needed"):
+        train("calibration", config, noisy, out, "--network", tmp_path)
+    other = windows("other", "--loop", "realistic", "--set", "loop.sensing.size=0")
+    with pytest.raises(CommandError, match=r"seen through realistic, sensing\.size=0\.0; sets"):
+        calibrated(other)

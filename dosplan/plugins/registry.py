@@ -20,7 +20,7 @@ from typing import Any, Final
 from dosplan.api import Planner, PluginSpec, Predictor, PredictorSettings
 from dosplan.plugins.files import load_file, loaded_file, local_modules
 from dosplan.plugins.settings import SettingsError, apply_options, plain_settings
-from dosplan.simulation.settings import IDEAL, LoopSettings
+from dosplan.simulation.settings import LoopSettings
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import DosplanError, did_you_mean, failure_place, one_line
 
@@ -128,15 +128,15 @@ def choose_planner(spec: str, options: Mapping[str, object] = _NO_OPTIONS) -> Pl
 
 
 def choose_predictor(
-    spec: str, options: Mapping[str, object] = _NO_OPTIONS, loop: LoopSettings = IDEAL
+    spec: str, options: Mapping[str, object] = _NO_OPTIONS, loop: LoopSettings | None = None
 ) -> PluginSpec[Predictor]:
     """Finds a predictor and checks its options, without building it.
 
     Args:
         spec: As for ``find_predictor``.
         options: What its settings are to be, see ``dosplan.plugins.settings``.
-        loop: The loop that it is to predict in. Settings that are left to it, of the predictor
-            and of those in its settings, get their values.
+        loop: The loop that it is to predict in: settings that are left to the loop, of the
+            predictor and of those in its settings, get their values. None leaves them open.
 
     Returns:
         Its class and settings.
@@ -146,7 +146,7 @@ def choose_predictor(
     """
     chosen: PluginSpec[Predictor] = choose_plugin(PluginKind.PREDICTOR, spec, options)
     try:
-        return _settled(chosen, loop)
+        return chosen if loop is None else _settled(chosen, loop)
     except Exception as error:  # Settings of others may raise anything.
         raise RegistryError(
             f"{PluginKind.PREDICTOR.word} {spec!r}: its settings cannot be left to the loop: "
@@ -176,7 +176,7 @@ def create_predictor(
     spec: str,
     seed: int,
     options: Mapping[str, object] = _NO_OPTIONS,
-    loop: LoopSettings = IDEAL,
+    loop: LoopSettings | None = None,
 ) -> Predictor:
     """Builds the predictor that ``spec`` names.
 

@@ -19,7 +19,13 @@ from dosplan_dos.calibration import (
 from dosplan_dos.predictor import DosPredictor, DosSettings, shipped_sets
 
 from dosplan.evaluation.windows import moments
-from dosplan.plugins.registry import RegistryError, choose_predictor, create_predictor, record
+from dosplan.plugins.registry import (
+    RegistryError,
+    choose_predictor,
+    create_predictor,
+    portable_options,
+    record,
+)
 from dosplan.running.config import RunConfig
 from dosplan.running.job import make_plugins
 from dosplan.scenario.synthetic import busy_scenario, steady_tracks, straight_scenario
@@ -153,3 +159,9 @@ def test_the_shipped_calibrations_are_of_the_same_steps_and_modes() -> None:
         assert found[0].keys() == found[1].keys() == set(Mode)
         assert found[0][Mode.PER_STEP].horizon == found[1][Mode.PER_STEP].horizon == 20
         assert min(c.highest_level for c in found[1].values()) > 0.99
+
+
+def test_what_is_sent_to_a_cluster_is_left_to_the_loop_there() -> None:
+    sent = portable_options(choose_predictor("dos", {"coverage": 0.9}))
+    assert sent["calibration"] == "auto"
+    assert record(choose_predictor("dos", sent, REALISTIC))["calibration"] == "realistic"

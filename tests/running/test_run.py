@@ -494,7 +494,7 @@ def test_bad_input_is_refused_before_a_folder_is_made(
     ],
 )
 def test_a_config_without_sense_is_refused(change: dict[str, Any]) -> None:
-    with pytest.raises(RunError, match=next(iter(change))):
+    with pytest.raises(RunError, match=next(iter(change)).removesuffix("_options")):
         RunConfig(out=Path("run"), **change)
 
 

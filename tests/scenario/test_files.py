@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,10 @@ def test_start_is_the_centre_and_yaw_rate_gives_steering(tmp_path: Path) -> None
     # The model turns by v tan(delta) / wheelbase.
     assert VEHICLE.derivative(start, np.zeros(2))[4] == pytest.approx(0.3)
     slow = Problem(start=(10.0, 0.0, 0.0, 0.9), yaw_rate=0.3)
-    assert loaded(tmp_path, problems=[slow]).task.start[2] == 0.0
+    slowly = loaded(tmp_path, problems=[slow]).task.start
+    assert VEHICLE.derivative(slowly, np.zeros(2))[4] == pytest.approx(0.3)
+    standing = Problem(start=(10.0, 0.0, 0.0, 0.05), yaw_rate=0.3)
+    assert loaded(tmp_path, problems=[standing]).task.start[2] == 0.0
     spinning = Problem(start=(10.0, 0.0, 0.0, 1.1), yaw_rate=9.0)
     assert loaded(tmp_path, problems=[spinning]).task.start[2] == VEHICLE.max_steering
 
@@ -71,6 +75,20 @@ def test_wheels_are_turned_along_a_bend_where_no_yaw_rate_is_given(
     start = loaded(tmp_path, lanes=bend, problems=[problem]).task.start
     expected = np.arctan(VEHICLE.wheelbase / 20.0) if turned else 0.0
     assert start[2] == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2])
+def test_wheels_are_turned_no_further_than_the_road_can_be_kept(
+    tmp_path: Path, angle: float
+) -> None:
+    """At 7.5 m/s into a bend of 6.25 m, beside its inner edge and turned inwards already."""
+    bend = scenes.curve(radius=6.25, angle=angle)
+    side = np.sign(angle)
+    problem = Problem(start=(50.9, side * 0.89, side * 0.262, 7.5), yaw_rate=0.0)
+    start = loaded(tmp_path, lanes=bend, problems=[problem]).task.start
+    outside = replace(problem, start=(50.9, 0.0, side * 0.1, 7.5))
+    free = loaded(tmp_path, lanes=bend, problems=[outside]).task.start
+    assert 0.0 < side * start[2] < side * free[2] - 0.01
 
 
 @pytest.mark.parametrize("heading", [0.0, np.pi / 4, np.pi / 2, -np.pi / 2, np.pi])

@@ -11,7 +11,6 @@ import numpy as np
 import shapely
 from shapely.geometry import MultiPolygon, Polygon
 
-from dosplan.geometry import ReferencePath
 from dosplan.scenario.commonroad.document import Document, ScenarioError, read_document
 from dosplan.scenario.commonroad.elements import (
     FaultError,
@@ -30,10 +29,10 @@ from dosplan.scenario.commonroad.regulation import signals
 from dosplan.scenario.commonroad.road_map import read_road_map
 from dosplan.scenario.commonroad.states import SHAPES, Part, position, read_shape, region
 from dosplan.scenario.route.route import build_route
+from dosplan.scenario.route.start import wheels_by_yaw_rate, with_wheels_turned
 from dosplan.scenario.sources.catalogue import ScenarioRef
 from dosplan.types import (
     EGO_HEADING,
-    EGO_STEERING,
     EGO_VELOCITY,
     STEP_SECONDS,
     FloatArray,
@@ -41,7 +40,6 @@ from dosplan.types import (
     Lanelet,
     PlanningTask,
     RoadMap,
-    Route,
     Scenario,
 )
 from dosplan.vehicle import VehicleParameters
@@ -59,8 +57,6 @@ recorded velocities to.
 """
 ANY_HEADING: Final = 2.0 * np.pi - 1e-3
 """Width from which on an interval of headings holds every heading, rad."""
-_MIN_STEERING_SPEED: Final = 1.0
-_ALONG_ROUTE: Final = 0.87  # Cosine of the largest angle to the route at which it is followed.
 
 
 def read_scenario(ref: ScenarioRef, content: bytes, *, ego_optional: bool = False) -> Scenario:
@@ -159,7 +155,7 @@ def _scenario(document: Document, ref: ScenarioRef, ego_optional: bool) -> Scena
             scenario_id=name,
             dt=STEP_SECONDS,
             start_step=problem.first_step,
-            start=_steered(start, route, vehicle),
+            start=with_wheels_turned(start, route, road_map, vehicle),
             goals=problem.goals,
             final_step=final_step,
             route=route,
@@ -227,35 +223,9 @@ def _start(state: Element, vehicle: VehicleParameters) -> FloatArray:
     velocity, heading = (middle(child(state, tag)) for tag in ("velocity", "orientation"))
     turning = state.find("yawRate")
     steering = 0.0
-    if velocity > _MIN_STEERING_SPEED and turning is not None:
-        steering = float(np.arctan(vehicle.wheelbase * middle(turning) / velocity))
-    return vehicle.state_at(
-        position(state),
-        heading,
-        velocity,
-        float(np.clip(steering, -vehicle.max_steering, vehicle.max_steering)),
-    )
-
-
-def _steered(start: FloatArray, route: Route, vehicle: VehicleParameters) -> FloatArray:
-    """The start with the wheels turned along the route where the file gives no yaw rate.
-
-    Nine in ten files write a yaw rate of zero, in bends too. A car that follows its lane has
-    its wheels turned already; with straight wheels it would leave a tight bend at once.
-    """
-    if start[EGO_STEERING] != 0.0:
-        return start
-    path = ReferencePath.of(route)
-    along = path.locate(start[:2])
-    if np.cos(start[EGO_HEADING] - path.heading_at(along)) < _ALONG_ROUTE:
-        return start
-    steered = start.copy()
-    steered[EGO_STEERING] = np.clip(
-        np.arctan(vehicle.wheelbase * path.curvature_at(along)),
-        -vehicle.max_steering,
-        vehicle.max_steering,
-    )
-    return steered
+    if turning is not None:
+        steering = wheels_by_yaw_rate(velocity, middle(turning), vehicle)
+    return vehicle.state_at(position(state), heading, velocity, steering)
 
 
 def _check_start(

@@ -1,4 +1,4 @@
-"""``idm-v1``: the Intelligent Driver Model along the route.
+"""``idm-v2``: the Intelligent Driver Model along the route.
 
 Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic
 simulations", Phys. Rev. E 62, 2000; the free-road term and the figures are those of Treiber,
@@ -294,7 +294,7 @@ class IdmEpisode:
 class IdmPlanner(Planner):
     """Follows the route, the goal's deadline and the leader."""
 
-    name = "idm-v1"
+    name = "idm-v2"
     settings = IdmSettings
 
     def __init__(self, *, seed: int = 0, settings: IdmSettings = IdmSettings()) -> None:

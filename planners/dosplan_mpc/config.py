@@ -275,6 +275,60 @@ class SamplerSettings:
 
 
 @dataclass(frozen=True)
+class PassingSettings:
+    """Settings of the decision to pass what blocks the lane (``passing``).
+
+    Attributes:
+        ahead: Distance ahead of the ego within which it is looked for, m.
+        clearance: Room beside what is passed, m.
+        lane: Width of road beyond the own lane from which on there is a lane against it, m.
+        seconds: Time of driving over which the ego goes aside, and back, s.
+        shortest_way: Shortest way over which it does, m; also where it waits before the place.
+        commit: Distance of the front before the place from which on a pass is not given up, m.
+        beside: Distance from the path up to which somebody who comes towards the ego counts, m.
+        speed: Speed at which the ego is taken to pass, where it is not faster, m/s.
+        reserve: Time that the lane has to be free beyond that of the pass, s.
+    """
+
+    ahead: float = 80.0
+    clearance: float = 0.3
+    lane: float = 1.0
+    seconds: float = 1.5
+    shortest_way: float = 9.0
+    commit: float = 3.0
+    beside: float = 6.0
+    speed: float = 5.0
+    reserve: float = 1.5
+
+    def __post_init__(self) -> None:
+        _check(self, positive={"ahead", "shortest_way", "speed"})
+
+
+@dataclass(frozen=True)
+class ArrivalSettings:
+    """Settings of the drives that are tried where a plan misses its goal (``arrival``).
+
+    Attributes:
+        angles: Number of steering angles, from stop to stop.
+        switches: Steps after which the second angle is turned to.
+        accelerations: m/s2.
+        margin: Share of a goal's intervals of heading and velocity that is kept from their ends.
+    """
+
+    angles: int = 9
+    switches: tuple[int, ...] = (2, 4, 7, 11)
+    accelerations: tuple[float, ...] = (-8.0, -4.0, -1.5, 0.0, 2.0, 5.0, 9.0)
+    margin: float = 0.02
+
+    def __post_init__(self) -> None:
+        _check(self, positive={"angles"})
+        if not self.margin < 0.5:
+            raise ValueError(f"margin is {self.margin}, expected less than 0.5")
+        if not self.switches or not self.accelerations:
+            raise ValueError("switches and accelerations are empty, expected one or more of each")
+
+
+@dataclass(frozen=True)
 class BarrierSettings:
     """Settings of the way to a line before which the ego has to stop (``barrier``).
 
@@ -333,6 +387,8 @@ class MpcConfig:
         traffic: Leader, follower and cruising speed.
         sets: The forbidden sets.
         sampler: The sampled alternatives.
+        arrival: The last metres into a goal.
+        passing: The decision to pass what blocks the lane.
         stops: When the ego stops for lights, signs and crosswalks.
         barrier: How it does.
     """
@@ -371,6 +427,8 @@ class MpcConfig:
     traffic: TrafficSettings = TrafficSettings()
     sets: SetSettings = SetSettings()
     sampler: SamplerSettings = SamplerSettings()
+    arrival: ArrivalSettings = ArrivalSettings()
+    passing: PassingSettings = PassingSettings()
     stops: StopSettings = StopSettings()
     barrier: BarrierSettings = BarrierSettings()
 

@@ -10,7 +10,6 @@ import shapely
 
 from dosplan.geometry import PATH_SIZE, StopRules, Wait
 from dosplan.types import (
-    EGO_HEADING,
     EGO_SIZE,
     EGO_VELOCITY,
     EGO_X,
@@ -24,15 +23,18 @@ from dosplan.types import (
     SolveReport,
 )
 from dosplan.vehicle import VehicleParameters
+from dosplan_mpc.arrival import Arrival, Arrivals
 from dosplan_mpc.barrier import BARRIER_ID, barrier
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.goal_window import locate_goals
 from dosplan_mpc.limits import half_width
 from dosplan_mpc.nlp import Guess, Solution, problems
 from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, stretch_back
-from dosplan_mpc.reference import PATH_LEFT, PATH_RIGHT, EgoOnPath, aligned_path
+from dosplan_mpc.passing import Pass, PassingDecision
+from dosplan_mpc.reference import EgoOnPath, aligned_path
+from dosplan_mpc.road import Road
 from dosplan_mpc.sampler import Candidates, Sampler
-from dosplan_mpc.shape import STATIONS, disc_offsets, station_offsets
+from dosplan_mpc.shape import disc_offsets
 from dosplan_mpc.speed_profile import LegalSpeed, SpeedPlanner, SpeedProfile
 from dosplan_mpc.stage import (
     ACCELERATION,
@@ -40,7 +42,6 @@ from dosplan_mpc.stage import (
     PREVIOUS_ACCELERATION,
     Reference,
     StageParameters,
-    Station,
 )
 from dosplan_mpc.traffic import Lane, Traffic
 
@@ -76,6 +77,7 @@ class _Scene:
         profile: Reference of the next steps.
         sets: Forbidden sets of the road users nearby.
         wait: The line before which the ego has to stop, or None.
+        reason: Why the ego stops, or will, or None.
         barrier: The set behind that line, or None.
     """
 
@@ -84,6 +86,7 @@ class _Scene:
     profile: SpeedProfile
     sets: ForbiddenSets
     wait: Wait | None
+    reason: str | None
     barrier: ForbiddenSets | None
 
     @property
@@ -128,7 +131,6 @@ class MpcEpisode:
         self._final_step = task.final_step
         self._problems = problems(config, vehicle, task.dt)
         self._radius = disc_offsets(vehicle, config.discs)[1] + config.clearance
-        self._stations = station_offsets(vehicle)
         self._path = aligned_path(task, config.path)
         end = _end_of_road(task, road_map)
         self._farthest = end - vehicle.length / 2.0 - config.path.end_margin
@@ -137,8 +139,14 @@ class MpcEpisode:
         self._lane = Lane(config.traffic, self._path, vehicle, float(task.start[EGO_VELOCITY]))
         limits = LegalSpeed.of(task.route, config.speed.limit_factor)
         self._speed = SpeedPlanner(config, vehicle, self._path, windows, limits, task.dt)
+        self._passing = PassingDecision(
+            config.passing, self._path, task.route, vehicle, half_width(config, vehicle)
+        )
         self._rules = StopRules(task, config.stops)
+        self._half_width = half_width(config, vehicle)
+        self._road = Road(road_map, self._path, vehicle, self._half_width)
         self._sampler = Sampler(config, vehicle, self._path, task.dt)
+        self._arrivals = Arrivals(config.arrival, task, self._road.area, vehicle, self._sampler)
         self._arclength = float(self._path.locate(task.start[:2]))
         self._last: _LastCycle | None = None
 
@@ -155,31 +163,48 @@ class MpcEpisode:
         scene = self._look(observation, occupancy)
         attempts, fallback = self._attempts(observation.step, scene)
         best = min(attempts, key=lambda a: (not a.solution.usable, a.solution.cost))
-        report = _report(attempts, best, scene.wait)
+        report = _report(attempts, best, scene.reason)
         if not best.solution.usable and fallback is not None:
             self._last = None
             return _plan(observation, fallback, replace(report, fallback="sampled"))
         self._last = self._remember(observation.step, best.solution, report.slack, scene.line)
+        arrival = self._arrivals.instead(
+            best.solution.states,
+            observation.step,
+            scene.start,
+            scene.forbidden,
+            self._speed.fastest(scene.ego),
+        )
+        if arrival is not None:
+            return _plan(observation, arrival, replace(report, slack=0.0, road_slack=0.0))
         return _plan(observation, self._last.guess, report)
 
     def _look(self, observation: Observation, occupancy: Occupancy) -> _Scene:
         """Where the ego is, its reference, and the sets it keeps out of."""
         ego = self._locate(observation)
         self._arclength = ego.arclength
-        traffic = self._lane.look_around(observation, ego)
+        passing = self._passing.decide(observation, occupancy, ego)
+        going = passing is not None and passing.waits_for is None
+        passed = passing.users if passing is not None else np.empty(0, dtype=np.int64)
+        traffic = self._lane.look_around(observation, ego, passed)
         # The road that is left on the map has to last until the final step.
         left = max(self._final_step - observation.step, 1) * self._dt
         cruise = min(traffic.cruise, max(self._farthest - ego.position, 0.0) / left)
         half = 0.5 * self._vehicle.length
         wait = self._rules.wait(observation, occupancy, ego.position + half)
-        stop = None if wait is None else wait.place - half
-        profile = self._speed.plan(ego, replace(traffic, cruise=cruise), stop)
+        stops = [] if wait is None else [wait.place - half]
+        if passing is not None and not going:
+            stops.append(passing.begin)
+        profile = self._speed.plan(ego, replace(traffic, cruise=cruise), min(stops, default=None))
+        if passing is not None and going:
+            profile = replace(profile, offset=passing.bent(profile.arclength, profile.offset))
         return _Scene(
             start=np.append(observation.ego, _previous_acceleration(observation)),
             ego=ego,
             profile=profile,
             sets=self._sets(observation, occupancy, profile, traffic),
             wait=wait,
+            reason=_reason(observation, wait, passing),
             barrier=None if wait is None else self._barrier(wait),
         )
 
@@ -283,17 +308,21 @@ class MpcEpisode:
             + over * self._dt * states[-1, EGO_VELOCITY],
         )
 
-    def _remember(
-        self, step: int, solution: Solution, slack: float, line: float | None
-    ) -> _LastCycle:
-        """The part of a solution that the next cycle needs."""
+    def _as_guess(self, solution: Solution) -> Guess:
+        """A solution as the guess of another solve."""
         states = solution.states
         way = np.hypot(np.diff(states[:, EGO_X]), np.diff(states[:, EGO_Y]))
         expected = self._arclength + np.concatenate([[0.0], np.cumsum(way)])
         arclength, _ = self._path.project(states[:, :2], expected)
+        return Guess(states, solution.inputs, solution.road_slack, arclength)
+
+    def _remember(
+        self, step: int, solution: Solution, slack: float, line: float | None
+    ) -> _LastCycle:
+        """The part of a solution that the next cycle needs."""
         return _LastCycle(
             step=step,
-            guess=Guess(states, solution.inputs, solution.road_slack, arclength),
+            guess=self._as_guess(solution),
             slack=slack,
             cycles=self._last.cycles + 1 if self._last else 1,
             line=line,
@@ -312,7 +341,13 @@ class MpcEpisode:
         s, _ = self._path.project(guess.states[:, :2], guess.arclength)
         stages = StageParameters(
             reference=self._reference(s, scene.profile),
-            stations=self._road(guess.states, s, scene.profile),
+            # A goal bounds the ego's centre, the middle station's edges bound its sides.
+            stations=self._road.beside(
+                guess.states,
+                s,
+                right=scene.profile.right - self._half_width,
+                left=scene.profile.left + self._half_width,
+            ),
             slots=near.fill(slots),
         )
         # A slot may hold another road user than before: slacks are computed from the guess.
@@ -333,26 +368,12 @@ class MpcEpisode:
             heading_weight=profile.heading_weight,
         )
 
-    def _road(self, states: FloatArray, s: FloatArray, profile: SpeedProfile) -> Station:
-        """The road beside the stations of a guess at the arc lengths s."""
-        heading = states[:, EGO_HEADING, None]
-        axis = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        points = states[:, None, :2] + self._stations[:, None] * axis
-        along, _ = self._path.project(points, s[:, None] + self._stations)
-        beside = self._path.at(along)
-        right, left = beside[..., PATH_RIGHT], beside[..., PATH_LEFT]
-        # A goal bounds the ego's centre, the middle station's edges bound its sides.
-        half, middle = half_width(self._config, self._vehicle), STATIONS // 2
-        right[:, middle] = np.maximum(right[:, middle], profile.right - half)
-        left[:, middle] = np.minimum(left[:, middle], profile.left + half)
-        return Station(path=beside[..., :PATH_SIZE], right=right, left=left)
-
 
 def _any_usable(attempts: list[_Attempt]) -> bool:
     return any(attempt.solution.usable for attempt in attempts)
 
 
-def _report(attempts: list[_Attempt], best: _Attempt, wait: Wait | None) -> SolveReport:
+def _report(attempts: list[_Attempt], best: _Attempt, reason: str | None) -> SolveReport:
     """Times and iterations of all attempts of a cycle, and the rest of the best one."""
     solution = best.solution
     touched = solution.set_slack.max(axis=0)[: len(best.sets.ids)] > _SEEN
@@ -363,11 +384,20 @@ def _report(attempts: list[_Attempt], best: _Attempt, wait: Wait | None) -> Solv
         slack=float(solution.set_slack.max()),
         road_slack=max(float(solution.road_slack.max()), 0.0),
         active_ids=tuple(int(i) for i in best.sets.ids[touched] if i != BARRIER_ID),
-        waits_for=None if wait is None else wait.reason,
+        waits_for=reason,
     )
 
 
-def _plan(observation: Observation, guess: Guess, report: SolveReport) -> Plan:
+def _reason(observation: Observation, wait: Wait | None, passing: Pass | None) -> str | None:
+    """Why the ego stops, or None."""
+    if wait is not None:
+        return wait.reason
+    if passing is None or passing.waits_for is None:
+        return None
+    return f"{passing.waits_for}, to pass {observation.ids[passing.users[0]]}"
+
+
+def _plan(observation: Observation, guess: Guess | Arrival, report: SolveReport) -> Plan:
     states = guess.states[:, :EGO_SIZE].copy()
     states[0] = observation.ego
     return Plan(states=states, inputs=guess.inputs, report=report)

@@ -90,6 +90,19 @@ class ForbiddenSets:
             self.ids[order], self.centre[order], self.matrix[order], self.penalty[order]
         )
 
+    def within(self, steps: int) -> ForbiddenSets:
+        """The sets of the first steps.
+
+        Args:
+            steps: How many.
+
+        Returns:
+            The same sets, of these steps alone.
+        """
+        return ForbiddenSets(
+            self.ids, self.centre[:, :steps], self.matrix[:, :steps], self.penalty[:, :steps]
+        )
+
     def joined(self, other: ForbiddenSets | None) -> ForbiddenSets:
         """These sets and others.
 

@@ -15,6 +15,9 @@ from dosplan_mpc.config import PathSettings
 PATH_RIGHT: Final = PATH_SIZE
 PATH_LEFT: Final = PATH_SIZE + 1
 """Further columns of the path's table: right and left edge, m, where they are narrowest nearby."""
+LANE_RIGHT: Final = PATH_SIZE + 2
+LANE_LEFT: Final = PATH_SIZE + 3
+"""The same where the edge is that of a lane against the path, which is road; elsewhere infinite."""
 
 
 @dataclass(frozen=True)
@@ -36,25 +39,56 @@ class EgoOnPath:
     velocity: float
 
 
-def reference_path(route: Route, settings: PathSettings, turn: float = 0.0) -> EvenPath:
-    """The path of a route with the edges beside it.
+class LanePath(EvenPath):
+    """A reference path beside which the lanes against it can be opened along a stretch.
 
-    Args:
-        route: The route of the episode.
-        settings: Settings of the edges.
-        turn: Angle that is added to its heading, rad: full turns, so that it is continuous with
-            another heading.
-
-    Returns:
-        The path; its table has the columns ``PATH_RIGHT`` and ``PATH_LEFT`` as well.
+    Its table has the columns ``PATH_RIGHT``, ``PATH_LEFT``, ``LANE_RIGHT`` and ``LANE_LEFT``.
     """
-    right, left = _edges(route, settings)
-    return EvenPath(
-        route.arclength, route.path, route.heading + turn, route.curvature, (right, left)
-    )
+
+    def __init__(self, route: Route, settings: PathSettings, turn: float = 0.0) -> None:
+        """Finds the edges of a route.
+
+        Args:
+            route: The route of the episode.
+            settings: Settings of the edges.
+            turn: Angle that is added to its heading, rad: full turns, so that it is continuous
+                with another heading.
+        """
+        right, left = _edges(route, settings)
+        lanes = (
+            np.where(route.right > route.outer_right + _SAME_EDGE, right, -_NO_EDGE),
+            np.where(route.left < route.outer_left - _SAME_EDGE, left, _NO_EDGE),
+        )
+        super().__init__(
+            route.arclength,
+            route.path,
+            route.heading + turn,
+            route.curvature,
+            (right, left, *lanes),
+        )
+        self._closed = self.table.copy()
+        self._outer = (route.outer_right, route.outer_left)
+
+    def close(self) -> None:
+        """Has the lanes against the path closed again."""
+        self.table[:, PATH_SIZE:] = self._closed[:, PATH_SIZE:]
+
+    def open(self, begin: float, end: float, side: float) -> None:
+        """Lets the ego use the lane against the path along a stretch.
+
+        Args:
+            begin: Arc length of its begin, m.
+            end: Arc length of its end, m.
+            side: 1 for the lane on the left, -1 for one on the right.
+        """
+        self.close()
+        inside = (self.arclength >= begin) & (self.arclength <= end)
+        edge, lane = (PATH_LEFT, LANE_LEFT) if side > 0.0 else (PATH_RIGHT, LANE_RIGHT)
+        self.table[inside, edge] = self._outer[int(side > 0.0)][inside]
+        self.table[inside, lane] = side * _NO_EDGE
 
 
-def aligned_path(task: PlanningTask, settings: PathSettings) -> EvenPath:
+def aligned_path(task: PlanningTask, settings: PathSettings) -> LanePath:
     """The reference path with its heading on the same turn as the ego's.
 
     Args:
@@ -64,10 +98,14 @@ def aligned_path(task: PlanningTask, settings: PathSettings) -> EvenPath:
     Returns:
         The path.
     """
-    path = reference_path(task.route, settings)
+    path = LanePath(task.route, settings)
     heading = path.at(path.locate(task.start[:2]))[PATH_HEADING]
     turns = np.round((task.start[EGO_HEADING] - heading) / (2.0 * np.pi))
-    return reference_path(task.route, settings, 2.0 * np.pi * turns)
+    return LanePath(task.route, settings, 2.0 * np.pi * turns)
+
+
+_SAME_EDGE: Final = 0.05
+_NO_EDGE: Final = 100.0
 
 
 def _edges(route: Route, settings: PathSettings) -> tuple[FloatArray, FloatArray]:

@@ -208,6 +208,19 @@ class SpeedPlanner:
             heading_weight=heading_weight,
         )
 
+    def fastest(self, ego: EgoOnPath) -> float:
+        """The velocity that nothing may exceed, a goal's deadline neither.
+
+        Args:
+            ego: Where the ego is.
+
+        Returns:
+            m/s: the speed limit where it comes first, infinite otherwise.
+        """
+        if not self._config.speed.limit_first:
+            return np.inf
+        return float(self._legal.at(np.array(ego.position)))
+
     def cruise_for_goal(
         self, window: GoalWindow, ego: EgoOnPath, cruise: float, limit: SpeedLimit
     ) -> tuple[bool, float]:

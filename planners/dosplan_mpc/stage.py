@@ -17,8 +17,9 @@ Limits at stages 1 .. N, with slacks that are inputs of the stage:
   ``z = M_j (p_i - c_j)``: the disc's centre stays out of a superellipse (see ``obstacles``).
   Every slot has a slack of its own: with one slack for all, a set that cannot be left would
   loosen the others. Penalty: that of the set times ``s_j`` (exact) plus a small square.
-* Road: at five stations from the rear to the front bumper, both sides of the ego stay between the
-  corridor's edges: ``left - (e + w) >= -r`` and ``(e - w) - right >= -r``, slack r.
+* Road: in five parts of its length, from the rear to the front bumper, both sides of the ego stay
+  off the edges of the road: ``left - (e + w) >= -r`` and ``(e - w) - right >= -r``, slack r. The
+  edges are those of the drivable area as the guess sees them (see ``road``).
 
 Hard limits: the friction circle ``a^2 + (v psi')^2 <= (grip a_max)^2`` and engine power
 ``a v <= a_max v_s`` at stages 0 .. N-1, and the bounds of steering and velocity, of steering rate
@@ -53,7 +54,7 @@ from dosplan.types import (
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.limits import grip, half_width
-from dosplan_mpc.shape import STATIONS, disc_offsets, station_offsets
+from dosplan_mpc.shape import STATIONS, disc_offsets
 
 PREVIOUS_ACCELERATION: Final = EGO_SIZE
 STATE_SIZE: Final = EGO_SIZE + 1
@@ -84,18 +85,31 @@ class Reference(NamedTuple):
     heading_weight: Any
 
 
-class Station(NamedTuple):
-    """The road beside a place of the ego.
+class Edge(NamedTuple):
+    """What bounds a part of the ego to one side: a point of its axis stays off a line.
 
     Attributes:
-        path: (..., 4) x, y, m, heading, rad, and curvature, 1/m, of the path beside it.
-        right: (...) right edge, as an offset from the path, m.
-        left: (...) left edge, m.
+        line: (..., 4) x, y, m, heading, rad, and curvature, 1/m, of the line.
+        bound: (...) offset from the line that half of the ego's width beside the point may reach,
+            m, left positive.
+        ahead: (...) the point of the axis, m ahead of the rear axle.
     """
 
-    path: Any
-    right: Any
-    left: Any
+    line: Any
+    bound: Any
+    ahead: Any
+
+
+class Station(NamedTuple):
+    """The road beside a part of the ego's length.
+
+    Attributes:
+        right: Its right edge.
+        left: Its left edge.
+    """
+
+    right: Edge
+    left: Edge
 
 
 class Slot(NamedTuple):
@@ -118,7 +132,7 @@ class Slot(NamedTuple):
 _REFERENCE: Final = Reference(
     path=PATH_SIZE, velocity=1, offset=1, station=1, station_weight=1, heading=1, heading_weight=1
 )
-_STATION: Final = Station(path=PATH_SIZE, right=1, left=1)
+_EDGE: Final = Edge(line=PATH_SIZE, bound=1, ahead=1)
 _SLOT: Final = Slot(centre=2, first_row=2, second_row=2, penalty=1)
 
 EMPTY_SLOT: Final = Slot(
@@ -126,8 +140,9 @@ EMPTY_SLOT: Final = Slot(
 )
 """A set that no plan can reach."""
 
-_Parts = TypeVar("_Parts", Reference, Station, Slot)
-_Axis = Callable[[float], tuple[Any, Any]]
+_Parts = TypeVar("_Parts", Reference, Edge, Slot)
+_PAIRS: Final = range(0, 2 * STATIONS, 2)
+_Axis = Callable[[Any], tuple[Any, Any]]
 
 
 @dataclass(frozen=True)
@@ -148,9 +163,9 @@ class StageParameters:
         """(N + 1, ``stage_size``) the parameters as the problem takes them."""
         reference = _pack(self.reference, _REFERENCE)
         count = len(reference)
-        stations = _pack(self.stations, _STATION).reshape(count, -1)
+        stations = np.concatenate([_pack(edge, _EDGE) for edge in self.stations], axis=-1)
         slots = _pack(self.slots, _SLOT).reshape(count, -1)
-        return np.concatenate([reference, stations, slots], axis=1)
+        return np.concatenate([reference, stations.reshape(count, -1), slots], axis=1)
 
 
 def stage_size(config: MpcConfig) -> int:
@@ -162,7 +177,7 @@ def stage_size(config: MpcConfig) -> int:
     Returns:
         Their number: the reference's, the stations' and the slots'.
     """
-    size: int = sum(_REFERENCE) + STATIONS * sum(_STATION) + config.slots * sum(_SLOT)
+    size: int = sum(_REFERENCE) + 2 * STATIONS * sum(_EDGE) + config.slots * sum(_SLOT)
     return size
 
 
@@ -192,14 +207,14 @@ def unpack_stage(p: Any, slots: int) -> tuple[Reference, list[Station], list[Slo
     Returns:
         The reference, the stations and the slots.
     """
-    sizes = [sum(_REFERENCE), *[sum(_STATION)] * STATIONS, *[sum(_SLOT)] * slots]
+    sizes = [sum(_REFERENCE), *[sum(_EDGE)] * (2 * STATIONS), *[sum(_SLOT)] * slots]
     reference, *more = (
         p[end - size : end] for end, size in zip(accumulate(sizes), sizes, strict=True)
     )
     return (
         _unpack(reference, _REFERENCE),
-        [_unpack(part, _STATION) for part in more[:STATIONS]],
-        [_unpack(part, _SLOT) for part in more[STATIONS:]],
+        [Station(*(_unpack(part, _EDGE) for part in more[i : i + 2])) for i in _PAIRS],
+        [_unpack(part, _SLOT) for part in more[2 * STATIONS :]],
     )
 
 
@@ -240,10 +255,9 @@ def state_stage(config: MpcConfig, vehicle: VehicleParameters) -> Any:
     price = ca.dot(penalties, set_slack) + config.road_penalty * road_slack
     price += 0.5 * config.slack_curvature * ca.sumsqr(slack)
     axis, (discs, _) = _axis(x), disc_offsets(vehicle, config.discs)
-    places = [axis(ahead) for ahead in station_offsets(vehicle)]
     limits = ca.vertcat(
         *_set_constraints(axis, discs, set_slack, slots, config.norm_rounding),
-        *_road_constraints(places, road_slack, stations, half_width(config, vehicle)),
+        *_road_constraints(axis, road_slack, stations, half_width(config, vehicle)),
     )
     result = [_state_cost(config, vehicle, x, reference), price, limits]
     return ca.Function("state_stage", [x, slack, p], result)
@@ -332,13 +346,12 @@ def _set_constraints(
     return h
 
 
-def _road_constraints(
-    places: list[Any], slack: Any, stations: list[Station], half: float
-) -> list[Any]:
-    """Both sides of the ego between the road's edges, as ``h >= 0``."""
+def _road_constraints(axis: _Axis, slack: Any, stations: list[Station], half: float) -> list[Any]:
+    """Both sides of the ego off the road's edges, as ``h >= 0``."""
     h = []
-    for (x, y), station in zip(places, stations, strict=True):
-        _, offset = _local(x, y, station.path)
-        h.append(station.left - offset - half + slack)
-        h.append(offset - half - station.right + slack)
+    for right, left in stations:
+        _, offset = _local(*axis(left.ahead), left.line)
+        h.append(left.bound - offset - half + slack)
+        _, offset = _local(*axis(right.ahead), right.line)
+        h.append(offset - half - right.bound + slack)
     return h

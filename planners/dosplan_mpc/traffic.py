@@ -13,6 +13,7 @@ from dosplan.types import (
     USER_X,
     USER_Y,
     BoolArray,
+    IntArray,
     Observation,
 )
 from dosplan.vehicle import VehicleParameters
@@ -51,7 +52,7 @@ class Lane:
     vehicle: VehicleParameters
     start_velocity: float
 
-    def look_around(self, observation: Observation, ego: EgoOnPath) -> Traffic:
+    def look_around(self, observation: Observation, ego: EgoOnPath, passed: IntArray) -> Traffic:
         """Finds leader and follower and the cruising speed.
 
         Recorded followers do not react. To keep out of their way, the ego drives at the traffic's
@@ -61,6 +62,7 @@ class Lane:
         Args:
             observation: What is known now.
             ego: Where the ego is.
+            passed: Rows of those that the ego goes round; they are no leaders.
 
         Returns:
             Cruising speed and followers.
@@ -80,6 +82,7 @@ class Lane:
         gap = np.abs(distance) - 0.5 * (observation.size[:, 0] + self.vehicle.length)
         behind = lane & (distance < 0.0) & (distance > -settings.behind)
         front = lane & (distance > 0.0) & (distance < settings.ahead)
+        front[passed] = False
         if behind.any():
             follower = int(np.argmax(np.where(behind, distance, -np.inf)))
             cruise = max(cruise, float(speed[follower]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from dosplan_mpc.obstacles import ForbiddenSets
 from dosplan_mpc.shape import STATIONS, station_offsets
-from dosplan_mpc.stage import Reference, StageParameters, Station
+from dosplan_mpc.stage import Edge, Reference, StageParameters, Station
 
 from dosplan.types import FloatArray
 from dosplan.vehicle import VehicleParameters
@@ -26,7 +26,7 @@ def straight_stages(
         Parameters of the stages.
     """
     zero = np.zeros(len(x))
-    beside = x[:, None] + station_offsets(VehicleParameters())
+    ahead = np.tile(station_offsets(VehicleParameters()), (len(x), 1))
     return StageParameters(
         reference=Reference(
             path=_along_x(x),
@@ -38,9 +38,8 @@ def straight_stages(
             heading_weight=zero,
         ),
         stations=Station(
-            path=_along_x(beside),
-            right=np.full((len(x), STATIONS), -right),
-            left=np.full((len(x), STATIONS), 5.0),
+            right=Edge(_along_x(x[:, None] + ahead), np.full((len(x), STATIONS), -right), ahead),
+            left=Edge(_along_x(x[:, None] + ahead), np.full((len(x), STATIONS), 5.0), ahead),
         ),
         slots=sets.fill(slots),
     )

@@ -18,7 +18,7 @@ from dosplan_mpc.obstacles import (
     stretch_back,
     superellipse_axes,
 )
-from dosplan_mpc.reference import PATH_LEFT, EgoOnPath, reference_path
+from dosplan_mpc.reference import PATH_LEFT, EgoOnPath, LanePath
 from dosplan_mpc.sampler import Sampler
 from dosplan_mpc.shape import disc_offsets
 from dosplan_mpc.speed_profile import (
@@ -51,7 +51,7 @@ FREE = Traffic(cruise=10.0, pressed=False, followers=np.zeros(0, dtype=np.bool_)
 
 def path_of(route: Route) -> EvenPath:
     """The reference path of a route."""
-    return reference_path(route, CONFIG.path)
+    return LanePath(route, CONFIG.path)
 
 
 def goals_of(
@@ -403,7 +403,7 @@ def seen(users: list[list[float]], velocity: float = 10.0) -> Traffic:
     path = path_of(scenario.task.route)
     position = 20.0 + VEHICLE.rear_to_centre
     return Lane(CONFIG.traffic, path, VEHICLE, velocity).look_around(
-        observation, at(position, velocity)
+        observation, at(position, velocity), np.empty(0, dtype=np.int64)
     )
 
 
@@ -517,9 +517,10 @@ def test_parameters_of_a_stage_have_their_place(mpc: MpcProblem) -> None:
             wanted = np.ravel(getattr(stages.reference, name)[step])
             np.testing.assert_array_equal(value(part, step), wanted)
         for i, station in enumerate(stations):
-            for name, part in zip(station._fields, station, strict=True):
-                wanted = np.ravel(getattr(stages.stations, name)[step, i])
-                np.testing.assert_array_equal(value(part, step), wanted)
+            for side, edge in zip(station._fields, station, strict=True):
+                for name, part in zip(edge._fields, edge, strict=True):
+                    wanted = np.ravel(getattr(getattr(stages.stations, side), name)[step, i])
+                    np.testing.assert_array_equal(value(part, step), wanted)
         for j, slot in enumerate(slots):
             for name, part in zip(slot._fields, slot, strict=True):
                 wanted = np.ravel(getattr(stages.slots, name)[step, j])

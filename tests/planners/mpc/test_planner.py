@@ -19,7 +19,7 @@ from dosplan.scenario import load_scenario
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
-from dosplan.types import Arm, Episode, EpisodeEnd, GoalState, Outcome, Scenario, SolveStatus
+from dosplan.types import Arm, Episode, EpisodeEnd, GoalState, Outcome, Scenario, Score, SolveStatus
 from dosplan.vehicle import VehicleParameters
 from tests.support import scenes
 
@@ -97,6 +97,88 @@ def test_an_ego_in_the_middle_of_overtaking_does_not_turn_into_the_car_beside_it
     scenario = load_scenario(path)
     row = score(scenario, run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), arm))
     assert row.outcome is Outcome.SUCCESS, row
+
+
+@pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2], ids=["left", "right"])
+def test_a_corner_that_the_car_just_fits_through_is_driven(tmp_path: Path, angle: float) -> None:
+    """A lane of 3.2 m, inner radius 2 m: steered as far as it goes, 0.2 m of it are left."""
+    lanes = scenes.curve(radius=3.6, angle=angle, width=3.2, approach=30.0)
+    y = np.sign(angle) * 18.0
+    goal = scenes.rectangle(2.8, 10.0, 33.6, y)
+    start = (14.0, 0.0, 0.0, 1.0)
+    row = driven(tmp_path, lanes, scenes.Problem(start=start, goals=(scenes.Goal(1, 400, goal),)))
+    assert row.outcome is Outcome.SUCCESS, row
+    assert row.out_of_bounds_step is None
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+@pytest.mark.parametrize(
+    ("x", "offset", "heading", "velocity", "yaw_rate"),
+    [(50.906, 0.825, 0.2103, 5.39, 0.5759), (50.936, 0.889, 0.2618, 7.5, 0.0)],
+    ids=["wheels turned", "no yaw rate"],
+)
+def test_a_bend_is_cut_without_leaving_the_road(
+    tmp_path: Path,
+    side: float,
+    x: float,
+    offset: float,
+    heading: float,
+    velocity: float,
+    yaw_rate: float,
+) -> None:
+    """The ego is beside the inner edge of a bend of 4.5 m inner radius, at its beginning.
+
+    There is another lane on the outer side.
+    """
+    inner = scenes.curve(radius=6.25, angle=side * np.pi / 2)
+    turned = side * np.pi / 2
+    outer = (
+        scenes.straight_lane(11, (0.0, -side * 3.5, 0.0), 50.0, successors=(12,)),
+        scenes.arc_lane(12, (50.0, -side * 3.5, 0.0), 9.75, turned, successors=(13,)),
+        scenes.straight_lane(13, (59.75, side * 6.25, turned), 100.0, predecessors=(12,)),
+    )
+    lanes = (*inner, *outer)
+    goal = scenes.rectangle(3.0, 16.0, 56.25, side * 29.0)
+    problem = scenes.Problem(
+        start=(x, side * offset, side * heading, velocity),
+        goals=(scenes.Goal(1, 60, goal),),
+        yaw_rate=side * yaw_rate,
+    )
+    row = driven(tmp_path, lanes, problem)
+    assert row.outcome is Outcome.SUCCESS, row
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+@pytest.mark.parametrize(
+    ("velocity", "distance", "window", "heading"),
+    [(3.7, 3.2, (6, 10), (0.28, 0.46)), (4.0, 4.0, (8, 16), (0.35, 0.5))],
+)
+def test_a_goal_turned_from_the_lane_is_met(
+    tmp_path: Path,
+    side: float,
+    velocity: float,
+    distance: float,
+    window: tuple[int, int],
+    heading: tuple[float, float],
+) -> None:
+    low, high = sorted(side * bound for bound in heading)
+    lanes = scenes.straight_road(lanes=3)
+    start = (20.0, 3.5, 0.0, velocity)
+    goal = scenes.Goal(
+        *window,
+        position=scenes.rectangle(4.0, 3.0, 20.0 + distance, 3.5 + side * 0.4),
+        heading=(low, high),
+    )
+    row = driven(tmp_path, lanes, scenes.Problem(start=start, goals=(goal,)))
+    assert row.outcome is Outcome.SUCCESS, row
+
+
+def driven(folder: Path, lanes: Sequence[scenes.Lane], problem: scenes.Problem) -> Score:
+    """The row of an empty road that the planner drives."""
+    path = scenes.write_scenario_xml(folder / "scene.xml", lanes, problems=[problem])
+    scenario = load_scenario(path)
+    episode = run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), Arm.WITH_DOS)
+    return score(scenario, episode)
 
 
 def test_reports_tell_about_the_solve() -> None:

@@ -1,0 +1,216 @@
+"""The last metres into a goal: a drive that meets it is looked for where the plan misses it.
+
+A goal asks for a place, a heading, a velocity and a time at once. The optimal control problem is
+drawn towards each of them by a price, and may end a degree beside. So, where the deadline is
+within the horizon and no state of the plan meets the goal, short drives are tried: a steering angle
+that is turned to, later another one, and an acceleration. One that meets the goal, keeps the road
+and enters no set is driven instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Final
+
+import numpy as np
+import shapely
+
+from dosplan.geometry import rectangle_corners, wrap_angle
+from dosplan.types import (
+    EGO_HEADING,
+    EGO_SIZE,
+    EGO_STEERING,
+    EGO_VELOCITY,
+    BoolArray,
+    FloatArray,
+    GoalState,
+    PlanningTask,
+)
+from dosplan.vehicle import VehicleParameters
+from dosplan_mpc.config import ArrivalSettings
+from dosplan_mpc.obstacles import ForbiddenSets
+from dosplan_mpc.sampler import Sampler
+from dosplan_mpc.stage import ACCELERATION, PREVIOUS_ACCELERATION, STATE_SIZE
+
+_LOOKED_AT: Final = 24  # Drives, in the order of their cost, whose road and sets are looked at.
+_EVASIVE: Final = 1.0  # Normalised distance from a set that a drive keeps.
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """A drive into a goal.
+
+    Attributes:
+        states: (N + 1, 6) states of the optimal control problem.
+        inputs: (N, 2) steering rate, rad/s, and acceleration, m/s2.
+        steps: Steps until the goal is met.
+    """
+
+    states: FloatArray
+    inputs: FloatArray
+    steps: int
+
+
+class Arrivals:
+    """Looks for arrivals in one episode."""
+
+    def __init__(
+        self,
+        settings: ArrivalSettings,
+        task: PlanningTask,
+        road: shapely.Geometry,
+        vehicle: VehicleParameters,
+        sampler: Sampler,
+    ) -> None:
+        """Keeps the goals.
+
+        Args:
+            settings: What is tried.
+            task: Its goals.
+            road: Area that the ego keeps, m; prepared.
+            vehicle: The ego.
+            sampler: Knows the ego's discs.
+        """
+        self._settings = settings
+        self._goals = task.goals
+        self._road = road
+        self._vehicle = vehicle
+        self._sampler = sampler
+        self._dt = task.dt
+        self._kept: Arrival | None = None
+
+    def instead(
+        self,
+        plan: FloatArray,
+        step: int,
+        start: FloatArray,
+        sets: ForbiddenSets,
+        fastest: float = np.inf,
+    ) -> Arrival | None:
+        """A drive that meets a goal, where the plan does not and has not the time to.
+
+        Args:
+            plan: (N + 1, 5 or more) planned states, the present one first.
+            step: Present step.
+            start: (6,) present state and previous acceleration.
+            sets: Forbidden sets at the N steps.
+            fastest: Velocity that the drive may not exceed, unless it begins faster, m/s.
+
+        Returns:
+            The drive; None where the plan meets a goal, where there is still time beyond it, or
+            where none is found.
+        """
+        horizon = len(plan) - 1
+        due = [goal for goal in self._goals if step <= goal.last_step <= step + horizon]
+        kept, self._kept = self._kept, None
+        if len(due) < len([goal for goal in self._goals if goal.last_step >= step]) or not due:
+            return None
+        if self._meets(plan, step, due, 0.0).any() or not self._within_reach(start, step, due):
+            return None
+        states, inputs = self._drives(start, horizon, kept)
+        meets = self._meets(states, step, due, self._settings.margin)
+        meets[:, 0] = False
+        quickest = np.maximum.accumulate(states[..., EGO_VELOCITY], axis=1)
+        meets &= quickest <= max(fastest, float(start[EGO_VELOCITY]))
+        candidates = np.flatnonzero(meets.any(axis=1))
+        if not len(candidates):
+            return None
+        first = meets.argmax(axis=1)
+        until = np.arange(horizon) < first[:, None]
+        lateral = self._vehicle.lateral_acceleration(
+            states[:, 1:, EGO_VELOCITY], states[:, 1:, EGO_STEERING]
+        )
+        cost = (until * (inputs[..., ACCELERATION] ** 2 + lateral**2)).sum(axis=1)
+        order = candidates[np.argsort(cost[candidates], kind="stable")][:_LOOKED_AT]
+        for index in order:
+            steps = int(first[index])
+            if self._is_free(states[index, : steps + 1], sets):
+                self._kept = Arrival(states[index], inputs[index], steps)
+                return self._kept
+        return None
+
+    def _within_reach(self, start: FloatArray, step: int, goals: list[GoalState]) -> bool:
+        """Whether a goal's region is not farther than can be driven until its deadline."""
+        centre = shapely.Point(self._vehicle.centre(start[:EGO_SIZE]))
+        for goal in goals:
+            seconds = (goal.last_step - step) * self._dt
+            way = start[EGO_VELOCITY] * seconds + 0.5 * self._vehicle.max_acceleration * seconds**2
+            if goal.region is None or shapely.distance(goal.region, centre) <= way:
+                return True
+        return False
+
+    def _meets(
+        self, states: FloatArray, step: int, goals: list[GoalState], margin: float
+    ) -> BoolArray:
+        """(..., N + 1) whether states from now on meet one of some goals.
+
+        Args:
+            states: (..., N + 1, 5 or more).
+            step: Step of the first of them.
+            goals: The goals.
+            margin: Share of each interval that is kept from its ends.
+        """
+        steps = step + np.arange(states.shape[-2])
+        met = np.zeros(states.shape[:-1], dtype=np.bool_)
+        for goal in goals:
+            now = np.broadcast_to((steps >= goal.first_step) & (steps <= goal.last_step), met.shape)
+            now = now.copy()
+            if goal.heading is not None:
+                low, high = goal.heading
+                turned = wrap_angle(states[..., EGO_HEADING] - 0.5 * (low + high))
+                now &= np.abs(turned) <= (0.5 - margin) * (high - low)
+            if goal.velocity is not None:
+                low, high = goal.velocity
+                kept = margin * (high - low)
+                velocity = states[..., EGO_VELOCITY]
+                now &= (velocity >= low + kept) & (velocity <= high - kept)
+            if goal.region is not None and now.any():
+                centre = self._vehicle.centre(states[now])
+                now[now] = shapely.contains_xy(goal.region, centre[..., 0], centre[..., 1])
+            met |= now
+        return met
+
+    def _drives(
+        self, start: FloatArray, horizon: int, kept: Arrival | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """(C, N + 1, 6) states and (C, N, 2) inputs of what is tried, the last arrival first."""
+        settings, vehicle, dt = self._settings, self._vehicle, self._dt
+        limit = vehicle.max_steering
+        angles = np.linspace(-limit, limit, settings.angles)
+        angles = np.append(angles, start[EGO_STEERING])
+        tried = list(product(angles, angles, settings.switches, settings.accelerations))
+        first, second, switch, acceleration = np.array(tried).T
+        steps = np.arange(horizon)
+        steering = np.where(steps < switch[:, None], first[:, None], second[:, None])
+        wanted = np.tile(acceleration[:, None], (1, horizon))
+        if kept is not None:
+            steering = np.vstack([_later(kept.states[1:, EGO_STEERING]), steering])
+            wanted = np.vstack([_later(kept.inputs[:, ACCELERATION]), wanted])
+        states = np.empty((len(steering), horizon + 1, STATE_SIZE))
+        inputs = np.empty((len(steering), horizon, 2))
+        states[:, 0] = start
+        for k in range(horizon):
+            state = states[:, k, :EGO_SIZE]
+            asked = np.column_stack([(steering[:, k] - state[:, EGO_STEERING]) / dt, wanted[:, k]])
+            inputs[:, k] = vehicle.clip_input(state, asked, dt)
+            states[:, k + 1, :EGO_SIZE] = vehicle.step(state, inputs[:, k], dt)
+            states[:, k + 1, PREVIOUS_ACCELERATION] = inputs[:, k, ACCELERATION]
+        return states, inputs
+
+    def _is_free(self, states: FloatArray, sets: ForbiddenSets) -> bool:
+        """Whether a drive keeps the road and enters no set."""
+        poses = self._vehicle.poses(states[1:, :EGO_SIZE])
+        outlines = shapely.polygons(rectangle_corners(poses, self._vehicle.size))
+        if not shapely.covers(self._road, outlines).all():
+            return False
+        if not len(sets.ids):
+            return True
+        steps = len(states) - 1
+        discs = self._sampler.disc_centres(states[1:])
+        return bool((sets.within(steps).distance(discs) >= _EVASIVE).all())
+
+
+def _later(values: FloatArray) -> FloatArray:
+    """(1, N) values a step later, the last one held."""
+    return np.append(values[1:], values[-1])[None]

@@ -1,0 +1,229 @@
+"""The decision to pass what blocks the ego's lane, over the lane against it.
+
+What stands on the road and never moves (a parked lorry, a construction site) and leaves no room in
+the ego's own lane is passed on the side of the lane against it, while that is free for the time
+that the ego needs, or waited for at a distance from which the ego can still swing out. A decision
+to pass is kept until the ego is through; it is given up before the ego has left its lane, when
+somebody comes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from dosplan.geometry import rectangle_corners
+from dosplan.types import (
+    USER_HEADING,
+    USER_VELOCITY,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Observation,
+    Occupancy,
+    Route,
+)
+from dosplan.vehicle import VehicleParameters
+from dosplan_mpc.config import PassingSettings
+from dosplan_mpc.reference import EgoOnPath, LanePath
+
+_ONCOMING: Final = -0.3  # Cosine of the angle to the path from which on somebody comes towards it.
+
+
+@dataclass(frozen=True)
+class Pass:
+    """What blocks the lane, and the way round it.
+
+    Attributes:
+        users: (n,) rows of the observation that are passed.
+        begin: Arc length at which the way round it begins, m.
+        near: Arc length at which the blocked stretch begins, m.
+        far: Arc length at which it ends, m.
+        end: Arc length at which the way round it ends, m.
+        offset: Lateral offset beside it, m.
+        side: 1 where it is passed on the left, -1 on the right.
+        waits_for: Id of the road user for whom the ego waits, or None where it goes.
+    """
+
+    users: IntArray
+    begin: float
+    near: float
+    far: float
+    end: float
+    offset: float
+    side: float
+    waits_for: int | None = None
+
+    def bent(self, arclength: FloatArray, offset: FloatArray) -> FloatArray:
+        """Reference offsets that lead round the stretch.
+
+        Args:
+            arclength: (K,) m.
+            offset: (K,) reference offsets without it, m.
+
+        Returns:
+            (K,) offsets, m: a smooth way aside before it, and back behind it.
+        """
+        rise = (arclength - self.begin) / max(self.near - self.begin, 1e-6)
+        fall = (self.end - arclength) / max(self.end - self.far, 1e-6)
+        part = np.clip(np.minimum(rise, fall), 0.0, 1.0)
+        part = part**2 * (3.0 - 2.0 * part)
+        return np.asarray(offset + part * (self.offset - offset))
+
+
+class PassingDecision:
+    """Decides in every cycle of an episode."""
+
+    def __init__(
+        self,
+        settings: PassingSettings,
+        path: LanePath,
+        route: Route,
+        vehicle: VehicleParameters,
+        half_width: float,
+    ) -> None:
+        """Begins an episode.
+
+        Args:
+            settings: How much room and time is wanted.
+            path: Reference path, whose lanes against it are opened for a pass.
+            route: The edges of all of the road beside it.
+            vehicle: The ego.
+            half_width: Distance that the ego's axis keeps from an edge, m.
+        """
+        self._settings = settings
+        self._path = path
+        self._route = route
+        self._vehicle = vehicle
+        self._half_width = half_width
+        self._going: frozenset[int] = frozenset()
+
+    def decide(self, observation: Observation, occupancy: Occupancy, ego: EgoOnPath) -> Pass | None:
+        """What the ego passes, or waits to pass, now.
+
+        It opens the lane against the path where it passes.
+
+        Args:
+            observation: What is known now.
+            occupancy: The sets of the road users, in the same order.
+            ego: Where the ego is.
+
+        Returns:
+            The pass; None where nothing blocks the lane that can be passed.
+        """
+        found = self._blocked(observation, ego)
+        if found is None:
+            self._going = frozenset()
+            self._path.close()
+            return None
+        names = frozenset(observation.ids[found.users].tolist())
+        front = ego.position + 0.5 * self._vehicle.length
+        committed = bool(names & self._going) and front > found.near - self._settings.commit
+        comer = None if committed else self._who_comes(observation, occupancy, ego, found)
+        if comer is not None:
+            self._going = frozenset()
+            self._path.close()
+            return replace(found, waits_for=comer)
+        self._going = names
+        reach = self._vehicle.length
+        self._path.open(found.begin - reach, found.end + reach, found.side)
+        return found
+
+    def _blocked(self, observation: Observation, ego: EgoOnPath) -> Pass | None:
+        """The first stretch ahead that is blocked and can be passed over the lane against it."""
+        standing = np.flatnonzero(~observation.moves)
+        if not len(standing):
+            return None
+        settings, half, vehicle = self._settings, self._half_width, self._vehicle
+        poses = observation.states[standing, -1, :3]
+        corners = rectangle_corners(poses, observation.size[standing])
+        along = self._path.locate(corners)
+        across = self._path.offset(corners, along)
+        first, last = along.min(axis=1), along.max(axis=1)
+        # What is being passed is so until the ego is back on its lane.
+        way = max(settings.shortest_way, settings.seconds * ego.velocity)
+        going = np.isin(observation.ids[standing], list(self._going))
+        behind = vehicle.length + np.where(going, way, 0.0)
+        near = (last > ego.position - behind) & (first < ego.position + settings.ahead)
+        blocks = near & self._in_the_way(first, last, across)
+        if not blocks.any():
+            return None
+        # Those so close behind each other that the ego cannot go back in between are one.
+        order = np.argsort(np.where(blocks, first, np.inf), kind="stable")[: int(blocks.sum())]
+        chosen, far = [int(order[0])], float(last[order[0]])
+        for row in order[1:]:
+            if first[row] - far > 2.0 * settings.shortest_way:
+                break
+            chosen.append(int(row))
+            far = max(far, float(last[row]))
+        begin = float(first[chosen].min())
+        for side in (1.0, -1.0):
+            outer, own = self._edges(side, begin, far)
+            beside = float((side * across[chosen]).max())
+            offset = beside + settings.clearance + half
+            if outer - own > settings.lane and offset + half <= outer:
+                margin = 0.5 * vehicle.length
+                return Pass(
+                    users=standing[chosen],
+                    begin=begin - margin - way,
+                    near=begin - margin,
+                    far=far + margin,
+                    end=far + margin + way,
+                    offset=side * offset,
+                    side=side,
+                )
+        return None
+
+    def _in_the_way(self, first: FloatArray, last: FloatArray, across: FloatArray) -> BoolArray:
+        """(n,) whether what stands there leaves no room for the ego in its own lane."""
+        need = 2.0 * self._half_width + self._settings.clearance
+        blocks = np.zeros(len(first), dtype=np.bool_)
+        for i, (begin, end) in enumerate(zip(first, last, strict=True)):
+            left, right = (self._edges(side, begin, end)[1] for side in (1.0, -1.0))
+            low, high = float(across[i].min()), float(across[i].max())
+            on_lane = high > -right and low < left
+            blocks[i] = on_lane and left - high < need and low + right < need
+        return blocks
+
+    def _edges(self, side: float, begin: float, end: float) -> tuple[float, float]:
+        """Distance of the road's edge and of the own lane's, m, to one side of a stretch."""
+        route = self._route
+        inside = (route.arclength >= begin - 1.0) & (route.arclength <= end + 1.0)
+        if not inside.any():
+            return 0.0, 0.0
+        outer, own = (
+            (route.outer_left, route.left) if side > 0.0 else (-route.outer_right, -route.right)
+        )
+        return float(outer[inside].min()), float(own[inside].min())
+
+    def _who_comes(
+        self, observation: Observation, occupancy: Occupancy, ego: EgoOnPath, found: Pass
+    ) -> int | None:
+        """Id of somebody who would meet the ego beside the stretch, or None.
+
+        The ego needs the time to drive to its end; until then, and some more, nobody may reach it.
+        """
+        settings = self._settings
+        now = observation.present
+        along = self._path.locate(now[:, :2])
+        across = self._path.offset(now[:, :2], along)
+        turn = now[:, USER_HEADING] - self._path.heading_at(along)
+        comes = observation.moves & (np.cos(turn) < _ONCOMING)
+        comes &= (along > ego.position) & (np.abs(across) < settings.beside)
+        if not comes.any():
+            return None
+        way = found.end - ego.position
+        speed = max(ego.velocity, settings.speed)
+        seconds = way / speed + settings.reserve
+        # The quickest of what a set allows: its far end at the horizon.
+        t = occupancy.horizon - 1
+        reach = self._path.locate(occupancy.centre[:, t]) - occupancy.semi_axes[:, t].max(axis=-1)
+        seen = occupancy.valid[:, t]
+        ahead = (t + 1) * observation.dt
+        fastest = np.where(seen, (along - reach) / ahead, now[:, USER_VELOCITY])
+        fastest = np.maximum(fastest, now[:, USER_VELOCITY])
+        until = along - 0.5 * observation.size[:, 0] - fastest * seconds
+        meets = comes & (until < found.end)
+        return int(observation.ids[np.argmax(meets)]) if meets.any() else None

@@ -1,0 +1,111 @@
+"""What blocks the lane is passed over the lane against it, when that is free."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dosplan_mpc.planner import MpcPlanner
+from dosplan_simple.sets import ErrorCirclePredictor
+
+from dosplan.scenario import load_scenario
+from dosplan.scoring.score import score
+from dosplan.simulation.loop import run_episode
+from dosplan.types import Arm, Episode, Outcome, Score
+from tests.support import scenes
+
+LORRY = "<rectangle><length>8.0</length><width>2.5</width></rectangle>"
+SECONDS = 16
+
+
+def lorry(x: float, y: float = 0.0) -> scenes.User:
+    """A lorry that is parked on the road."""
+    return scenes.User(500, [(x, y, 0.0, 0.0)], kind="parkedVehicle", shape=LORRY, static=True)
+
+
+def oncoming(x: float, velocity: float, name: int = 600) -> scenes.User:
+    """A car on the lane against the ego's that is at x at the beginning."""
+    states = scenes.driving(x, 3.5, velocity, 10 * SECONDS + 1, np.pi)
+    return scenes.User(name, states)
+
+
+def drive(
+    folder: Path,
+    users: Sequence[scenes.User],
+    *,
+    lanes: int = 1,
+    against: int = 1,
+    side: float = 1.0,
+    arm: Arm = Arm.WITH_DOS,
+) -> tuple[Score, Episode]:
+    """An ego at 10 m/s on a road along x, its goal 75 m behind the lorry's usual place."""
+    road = scenes.straight_road(lanes=lanes, oncoming=against, length=350.0)
+    goal = scenes.Goal(0, 10 * SECONDS, scenes.rectangle(30.0, 3.4, 145.0, 0.0))
+    path = scenes.write_scenario_xml(
+        folder / "scene.xml",
+        road if side > 0.0 else scenes.mirrored(road),
+        users,
+        [scenes.Problem(start=(20.0, 0.0, 0.0, 10.0), goals=(goal,))],
+    )
+    scenario = load_scenario(path)
+    episode = run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), arm)
+    return score(scenario, episode), episode
+
+
+def reasons(episode: Episode) -> list[str]:
+    return [plan.report.waits_for for plan in episode.plans if plan.report.waits_for]
+
+
+@pytest.mark.parametrize("arm", list(Arm))
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["right-hand traffic", "left-hand traffic"])
+def test_a_lorry_on_the_lane_is_passed_while_nobody_comes(
+    tmp_path: Path, side: float, arm: Arm
+) -> None:
+    row, episode = drive(tmp_path, [lorry(70.0)], side=side, arm=arm)
+    assert row.outcome is Outcome.SUCCESS, row
+    assert not reasons(episode)
+    beside = episode.states[np.abs(episode.states[:, 0] - 70.0) < 4.0]
+    assert np.all(side * beside[:, 1] > 2.0)
+    assert abs(episode.states[-1, 1]) < 0.5  # Back on its own lane.
+
+
+def test_the_ego_waits_for_who_comes_and_passes_then(tmp_path: Path) -> None:
+    # Both would meet beside the lorry.
+    users = [lorry(70.0), oncoming(125.0, 10.0)]
+    row, episode = drive(tmp_path, users, arm=Arm.WITHOUT_DOS)
+    assert row.outcome is Outcome.SUCCESS, row
+    assert "600, to pass 500" in reasons(episode)
+    beside = np.flatnonzero(np.abs(episode.states[:, 0] - 70.0) < 4.0)
+    comer = 125.0 - 10.0 * 0.1 * beside
+    assert np.all(comer < 70.0)  # It is through before the ego is beside the lorry.
+
+
+def test_who_comes_much_later_is_not_waited_for(tmp_path: Path) -> None:
+    row, episode = drive(tmp_path, [lorry(70.0), oncoming(330.0, 8.0)])
+    assert row.outcome is Outcome.SUCCESS, row
+    assert not reasons(episode)
+
+
+def test_what_leaves_room_in_the_lane_is_no_reason_to_leave_it(tmp_path: Path) -> None:
+    # Its inner side is 0.35 m over the edge of the lane: 3.15 m are left.
+    row, episode = drive(tmp_path, [lorry(70.0, -2.65), oncoming(125.0, 10.0)])
+    assert row.outcome is Outcome.SUCCESS, row
+    assert not reasons(episode)
+    assert np.all(episode.states[:, 1] < 1.0)
+
+
+def test_a_road_without_a_lane_against_it_is_not_passed_on(tmp_path: Path) -> None:
+    row, episode = drive(tmp_path, [lorry(70.0)], against=0)
+    assert row.outcome is Outcome.GOAL_MISSED, row
+    assert row.out_of_bounds_step is None
+    assert episode.states[-1, 0] < 66.0
+
+
+def test_a_leader_that_stands_in_a_queue_is_not_passed(tmp_path: Path) -> None:
+    """A car that has stood so far may drive on: it is no scenery."""
+    queue = scenes.User(500, [(70.0, 0.0, 0.0, 0.0)] * (10 * SECONDS + 1))
+    row, episode = drive(tmp_path, [queue])
+    assert row.safe
+    assert np.all(episode.states[:, 1] < 1.75)

@@ -7,6 +7,10 @@ Definitions
   ego's covering discs. *Without DOS*: the same with semi-axes zero, so the predicted position
   alone, with its footprint, counts. No `if` in the planner: the arms differ in the `Occupancy`
   they are handed.
+- **World** of a run: who else is on the road (`--traffic`), the ego's loop (`--loop`) and how many
+  futures of each past are driven (`--futures`). Without these it is recorded traffic that does not
+  react, the ideal loop and one future, the recorded one. Rows name it, a run keeps to one, and
+  `dosplan compare` says where two runs differ in traffic or loop.
 - **Outcome**, one per scenario, first that applies: `collision` (exact overlap of the ego's
   rectangle with a road user's shape at the same step; also swept between steps), `out_of_bounds`
   (part of the ego's rectangle outside the drivable area), `planner_failure` (exception, time-out,

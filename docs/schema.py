@@ -28,13 +28,13 @@ from dosplan.results.summary import ArmSummary, RunTitle, Summary
 from dosplan.results.unusable import Unusable
 from dosplan.scoring import commonroad_cost, metrics, nuplan, progress, rules
 from dosplan.system.provenance import Machine
-from dosplan.types import Score, Sightings, Tracks
+from dosplan.types import Score, Sightings, Signals, Tracks
 
 PAGE: Final = Path(__file__).with_name("run-folder.md")
 METRICS_PAGE: Final = PAGE.with_name("metrics.md")
 CLASSES: Final[tuple[type, ...]] = (
-    RunManifest, RunSettings, Machine, Score, Recording, Tracks, Sightings, Summary, RunTitle,
-    Comparison, Difference, Change, Unusable,
+    RunManifest, RunSettings, Machine, Score, Recording, Tracks, Signals, Sightings, Summary,
+    RunTitle, Comparison, Difference, Change, Unusable,
 )  # fmt: skip
 _FLATTENED: Final = {"measures": "name of a measured metric", "differences": "name of a metric"}
 """Fields whose entries are keys themselves."""
@@ -182,7 +182,7 @@ def _absent(kind: type, field: Field[Any]) -> str:
         value = field.default_factory()
     else:
         return "never absent"
-    return f"`{json.dumps(value)}`"
+    return f"`{json.dumps(value, default=np.ndarray.tolist)}`"
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 The public methods ``reset``, ``plan`` and ``predict`` belong to the benchmark: they check what a
 plug-in returns and name the plug-in in error messages, so that no plug-in has to. A class
 that overrides one of them is refused. A plug-in fills ``compute_plan`` or ``compute_occupancy``
-and, where it prepares something per episode, ``prepare``.
+and, where it prepares something per episode, ``prepare``. Traffic, a third kind of plug-in, is in
+``dosplan.simulation.traffic``.
 
 The options of a plug-in are the fields of a frozen dataclass, its ``settings``. Every field has a
 default, and ``__post_init__`` raises ``ValueError`` for a value out of range, in a message that

@@ -366,11 +366,11 @@ class MpcConfig:
         jerk_weight: Cost of the change of acceleration, s6/m2.
         set_penalty: Exact penalty on entering a set, per unit of normalised distance.
         far_penalty: Share of it that counts at the last step; linear between.
-        road_penalty: Exact penalty on leaving the corridor, 1/m.
+        road_penalty: Exact penalty on leaving the road, 1/m.
         slack_curvature: Small square of the slacks, which keeps the problem strictly convex.
         norm_rounding: Smooths the norm of a set at its centre, where it has no derivative.
         clearance: Distance that is kept from every set, m.
-        road_margin: Distance that is kept from the corridor's edge, m.
+        road_margin: Distance that is kept from the road's edge, m.
         calm: How the reference speed is driven.
         hurried: The same where ``calm`` misses a goal's deadline.
         utmost: The same where ``hurried`` misses it too.

@@ -127,13 +127,14 @@ def mark_decades(axis: Axis, marks: Sequence[float] = (1.0,)) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def save(figure: Figure, out: Path, name: str) -> tuple[Path, Path]:
+def save(figure: Figure, out: Path, name: str, description: str | None = None) -> tuple[Path, Path]:
     """Writes a figure as PNG and as PDF; the same figure makes the same bytes.
 
     Args:
         figure: The figure.
         out: The folder; it is made.
         name: Name of the files.
+        description: What the files hold as their description.
 
     Returns:
         The PNG and the PDF.
@@ -147,7 +148,11 @@ def save(figure: Figure, out: Path, name: str) -> tuple[Path, Path]:
     for axes in figure.axes:  # The layout's last digits differ from one drawing to the next.
         axes.set_position(np.round(axes.get_position(original=True).bounds, 6).tolist())
     with atomic_file(png) as file:
-        figure.savefig(file, format="png", metadata={"Software": None})
+        figure.savefig(file, format="png", metadata={"Software": None, "Description": description})
     with atomic_file(pdf) as file:
-        figure.savefig(file, format="pdf", metadata={"CreationDate": None, "Producer": None})
+        figure.savefig(
+            file,
+            format="pdf",
+            metadata={"CreationDate": None, "Producer": None, "Subject": description},
+        )
     return png, pdf

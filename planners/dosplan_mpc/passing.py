@@ -219,8 +219,9 @@ class PassingDecision:
         seconds = way / speed + settings.reserve
         # The quickest of what a set allows: its far end at the horizon.
         t = occupancy.horizon - 1
-        reach = self._path.locate(occupancy.centre[:, t]) - occupancy.semi_axes[:, t].max(axis=-1)
         seen = occupancy.valid[:, t]
+        far = np.where(seen[:, None], occupancy.centre[:, t], now[:, :2])
+        reach = self._path.locate(far) - occupancy.semi_axes[:, t].max(axis=-1)
         ahead = (t + 1) * observation.dt
         fastest = np.where(seen, (along - reach) / ahead, now[:, USER_VELOCITY])
         fastest = np.maximum(fastest, now[:, USER_VELOCITY])

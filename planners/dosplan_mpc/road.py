@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import shapely
 
-from dosplan.geometry import PATH_HEADING, PATH_SIZE, EvenPath
+from dosplan.geometry import PATH_HEADING, PATH_SIZE, EvenPath, areas
 from dosplan.types import EGO_HEADING, BoolArray, FloatArray, RoadMap
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.reference import LANE_LEFT, LANE_RIGHT, PATH_LEFT, PATH_RIGHT
@@ -24,7 +24,6 @@ REACH: Final = 12.0
 """An edge farther from the ego than this bounds nothing, m."""
 _SIMPLER: Final = 0.01  # m; how far simplified edges may be off.
 _UPRIGHT: Final = 1e-9  # m; a length along the ego's axis that is none.
-
 
 _MIDDLE: Final = STATIONS // 2
 _SIDES: Final = (-1.0, 1.0)
@@ -78,7 +77,7 @@ class Road:
         east, north = path.points.max(axis=0) + 2.0 * REACH
         area = road_map.road_within(west, south, east, north)
         near = shapely.LineString(path.points).buffer(2.0 * REACH)
-        self.area = shapely.simplify(area.intersection(near), _SIMPLER)
+        self.area = shapely.simplify(areas(area.intersection(near)), _SIMPLER)
         shapely.prepare(self.area)
         edges = shapely.boundary(self.area).difference(near.boundary.buffer(0.1))
         points, line = shapely.get_coordinates(shapely.get_parts(edges), return_index=True)

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dosplan_mpc.planner import MpcPlanner
+from dosplan_simple.predictors import GroundTruthPredictor
 from dosplan_simple.sets import ErrorCirclePredictor
 
+from dosplan.api import Predictor
 from dosplan.scenario import load_scenario
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
@@ -39,6 +41,7 @@ def drive(
     against: int = 1,
     side: float = 1.0,
     arm: Arm = Arm.WITH_DOS,
+    predictor: Predictor | None = None,
 ) -> tuple[Score, Episode]:
     """An ego at 10 m/s on a road along x, its goal 75 m behind the lorry's usual place."""
     road = scenes.straight_road(lanes=lanes, oncoming=against, length=350.0)
@@ -50,7 +53,8 @@ def drive(
         [scenes.Problem(start=(20.0, 0.0, 0.0, 10.0), goals=(goal,))],
     )
     scenario = load_scenario(path)
-    episode = run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), arm)
+    predictor = ErrorCirclePredictor() if predictor is None else predictor
+    episode = run_episode(scenario, MpcPlanner(), predictor, arm)
     return score(scenario, episode), episode
 
 
@@ -80,6 +84,17 @@ def test_the_ego_waits_for_who_comes_and_passes_then(tmp_path: Path) -> None:
     beside = np.flatnonzero(np.abs(episode.states[:, 0] - 70.0) < 4.0)
     comer = 125.0 - 10.0 * 0.1 * beside
     assert np.all(comer < 70.0)  # It is through before the ego is beside the lorry.
+
+
+def test_somebody_without_a_prediction_is_taken_to_keep_its_speed(tmp_path: Path) -> None:
+    # The other car's recording ends while somebody comes: what is recorded of it ends as well.
+    leaves = scenes.User(700, scenes.driving(60.0, -20.0, 1.0, 30, 0.0))
+    users = [lorry(70.0), oncoming(125.0, 10.0), leaves]
+    predictor = GroundTruthPredictor()
+    row, episode = drive(tmp_path, users, arm=Arm.WITHOUT_DOS, predictor=predictor)
+    assert episode.error is None
+    assert row.outcome is Outcome.SUCCESS, row
+    assert "600, to pass 500" in reasons(episode)
 
 
 def test_who_comes_much_later_is_not_waited_for(tmp_path: Path) -> None:

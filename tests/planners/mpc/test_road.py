@@ -209,3 +209,11 @@ def test_a_map_without_an_edge_nearby_bounds_nothing() -> None:
     everywhere = shapely.box(-500.0, -500.0, 500.0, 500.0)
     for side in rooms(road_of(everywhere, path_of(wide)), state_at(0.0, 0.0, 0.0)):
         np.testing.assert_allclose(side, REACH - HALF)
+
+
+def test_another_road_that_just_touches_the_stretch_that_is_looked_at_is_none_of_it() -> None:
+    # Its edge lies on the border of what is cut out along the path.
+    border = 2.0 * REACH
+    along_path, other = shapely.box(-100.0, -3.0, 100.0, 3.0), (-50.0, border, 50.0, border + 3.0)
+    road = road_of(shapely.MultiPolygon([along_path, shapely.box(*other)]))
+    assert road.area.equals(road_of(along_path).area)

@@ -179,7 +179,7 @@ class _Forecast:
             steps: Number of steps.
         """
         observation, occupancy = scene.observation, scene.occupancy
-        known, now = min(steps, occupancy.horizon), observation.states[:, -1]
+        known, now = min(steps, occupancy.horizon), observation.present
         centre = np.concatenate([now[:, None, :2], occupancy.centre[:, :known]], axis=1)
         heading = np.concatenate([now[:, None, USER_HEADING], occupancy.heading[:, :known]], axis=1)
         size = np.concatenate([observation.size[:, None], set_sizes(occupancy, known)], axis=1)
@@ -357,7 +357,7 @@ class StopRules:
 
     def _in_own_lane(self, observation: Observation, stop: RouteStop) -> BoolArray:
         """(N,) whether a road user drives along the path, not beyond the place of a stop."""
-        now = observation.states[:, -1]
+        now = observation.present
         along = self._path.locate(now[:, :2])
         turn = now[:, USER_HEADING] - self._path.heading_at(along)
         beside = np.abs(self._path.offset(now[:, :2], along)) < _IN_LANE
@@ -365,7 +365,7 @@ class StopRules:
 
     def _on_foot(self, observation: Observation) -> BoolArray:
         """(N,) whether somebody may cross on a crosswalk; a bicycle along the road does not."""
-        now = observation.states[:, -1]
+        now = observation.present
         turn = now[:, USER_HEADING] - self._path.heading_at(self._path.locate(now[:, :2]))
         across = np.abs(np.cos(turn)) < _ALIGNED
         kinds = observation.kinds

@@ -99,6 +99,18 @@ def test_prediction_that_is_short_goes_on_as_it_ends() -> None:
     assert wait.reason == "give way to 100"
 
 
+@pytest.mark.parametrize(("delay", "waits"), [(0, True), (3, False)])
+def test_who_has_left_by_the_time_at_which_a_plan_acts_is_not_waited_for(
+    delay: int, waits: bool
+) -> None:
+    stop = stop_at(StopCause.GIVE_WAY, 40.0, 60.0, conflict=box(40.2, -10.0, 49.0, 10.0))
+    leaves = [45.0, 11.25, np.pi / 2.0, 10.0]  # Its rear is 1 m before the end of the place.
+    rules, seen = begun(stop, users=[leaves])
+    late = replace(at(seen, 2.0), step=delay, delay=delay)
+    wait = rules.wait(late, growing_sets(seen).later(delay), LINE - 0.5)
+    assert (wait is not None) == waits
+
+
 def test_settings_are_checked() -> None:
     with pytest.raises(ValueError, match="margin is -1"):
         StopSettings(margin=-1)

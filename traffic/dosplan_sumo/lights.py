@@ -21,8 +21,18 @@ _COLOURS: Final = {
     "O": LightColour.INACTIVE,
 }
 """Colours by SUMO's letters."""
-_TURNS: Final = {"l": "left", "L": "left", "t": "left", "r": "right", "R": "right", "s": "straight"}
+_TURNS: Final = {
+    "l": "left",
+    "L": "left",
+    "t": "left",  # A turn back where one drives on the right,
+    "T": "right",  # and on the left.
+    "r": "right",
+    "R": "right",
+    "s": "straight",
+}
 """Ways through an intersection by SUMO's letters."""
+_NO_WAY: Final = "no way that is known"
+"""For any other letter: only a light for all ways holds."""
 _BEFORE_THE_LINE: Final = 1.0
 """How far before the end of its lanelets a light's lane of SUMO is looked for, m."""
 
@@ -121,7 +131,7 @@ def _places(
             if lane is None:
                 continue
             for target, *_, turn, _ in sumo.lane.getLinks(lane):
-                if (lane, target) in signals and light.holds_for(_TURNS.get(turn, "")):
+                if (lane, target) in signals and light.holds_for(_TURNS.get(turn, _NO_WAY)):
                     places.append(signals[lane, target])
         if places:
             found[light.id] = tuple(dict.fromkeys(places))

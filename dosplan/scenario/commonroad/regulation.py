@@ -222,7 +222,8 @@ class LightProgram:
         # The first part may go on with the last colour of the cycle before. A file that begins
         # with its cycle may be a recording as long as the cycle: then nothing was before.
         if numbers[0] == numbers[-1]:
-            known = (begins[part] == 0.0) & ((cycles > 0) | (self.offset % self.ends[-1] != 0.0))
+            begun, away = np.divmod(-self.offset, self.ends[-1])  # The cycle of step 0.
+            known = (begins[part] == 0.0) & ((cycles > begun) | (away != 0.0))
             since = np.where(known, since + self.ends[-1] - begins[-1], since)
         return numbers[part], since
 

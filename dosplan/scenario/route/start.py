@@ -55,7 +55,8 @@ def with_wheels_turned(
     Nine in ten files write a yaw rate of zero, in bends too. A car that follows its lane has
     its wheels turned already; with straight wheels it would leave a tight bend at once. One that
     cuts the bend has them turned less: they are turned only as far as the road can be kept from
-    there, by some steering angle that is turned to at once, with or without braking.
+    there, by some steering angle that is turned to at once, with or without braking; where it can
+    be kept from no such start, all the way along the route.
 
     Args:
         start: (5,) ego state.

@@ -19,6 +19,14 @@ from dosplan.types import STEP_SECONDS
 _SLACK: Final = 1e-6  # Parts of a step by which a time may miss a whole number of them.
 
 
+def _check_numbers(settings: object, *names: str) -> None:
+    """Refuses what is negative, infinite or no number: states would not be numbers either."""
+    for name in names:
+        value = getattr(settings, name)
+        if not 0.0 <= value < math.inf:
+            raise ValueError(f"{name} is {value}, expected 0 or more, and finite")
+
+
 @dataclass(frozen=True)
 class SensingSettings:
     """What the ego sees of the other road users, and how well. It knows its own state exactly.
@@ -53,19 +61,18 @@ class SensingSettings:
     occlusion: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("position", "speed", "heading", "size", "correlation", "memory"):
-            if getattr(self, name) < 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
+        _check_numbers(self, "position", "speed", "heading", "size", "correlation", "memory")
         if not 0.0 <= self.dropout_rate * STEP_SECONDS <= 1.0:
             raise ValueError(
                 f"dropout_rate is {self.dropout_rate} a second, "
                 f"expected 0 to {1.0 / STEP_SECONDS:g}"
             )
-        if self.dropout_duration < STEP_SECONDS:
+        if not STEP_SECONDS <= self.dropout_duration < math.inf:
             raise ValueError(
-                f"dropout_duration is {self.dropout_duration}, expected {STEP_SECONDS} s or more"
+                f"dropout_duration is {self.dropout_duration}, "
+                f"expected {STEP_SECONDS} s or more, and finite"
             )
-        if self.range is not None and self.range <= 0.0:
+        if self.range is not None and not self.range > 0.0:
             raise ValueError(f"range is {self.range}, expected more than 0, or None")
 
     @property
@@ -92,9 +99,7 @@ class ActuatorSettings:
     steering: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("acceleration", "steering"):
-            if getattr(self, name) < 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
+        _check_numbers(self, "acceleration", "steering")
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import time
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -542,12 +543,17 @@ def test_exact_states_cannot_be_reached_from_an_observation() -> None:
         (lambda: LoopSettings(period=0.25), "period is 0.25 s, expected a multiple of the step"),
         (lambda: LoopSettings(latency=0.05), "latency is 0.05 s, expected a multiple"),
         (lambda: LoopSettings(latency=-0.1), "latency is -0.1 s, expected 0 or more"),
-        (lambda: LoopSettings(latency=float("nan")), "latency is nan s, expected a multiple"),
+        (lambda: LoopSettings(latency=math.nan), "latency is nan s, expected a multiple"),
         (lambda: SensingSettings(position=-1.0), "position is -1.0, expected 0 or more"),
         (lambda: SensingSettings(dropout_rate=11.0), "dropout_rate is 11.0 a second, expected 0"),
         (lambda: SensingSettings(dropout_duration=0.0), "dropout_duration is 0.0, expected 0.1"),
         (lambda: SensingSettings(range=0.0), "range is 0.0, expected more than 0"),
         (lambda: ActuatorSettings(steering=-1.0), "steering is -1.0, expected 0 or more"),
+        (lambda: SensingSettings(position=math.nan), "position is nan, expected 0 or more"),
+        (lambda: SensingSettings(speed=math.inf), "speed is inf, expected 0 or more"),
+        (lambda: SensingSettings(range=math.nan), "range is nan, expected more than 0"),
+        (lambda: SensingSettings(dropout_duration=math.inf), "dropout_duration is inf, expected"),
+        (lambda: ActuatorSettings(steering=math.nan), "steering is nan, expected 0 or more"),
     ],
 )
 def test_settings_out_of_range_are_refused(make: Any, told: str) -> None:

@@ -230,8 +230,9 @@ def test_many_inputs_are_limited_as_one_by_one(seed: int, dt: float) -> None:
     for place in np.ndindex(4, 7):
         one = VEHICLE.clip_input(many[place], u[place], dt)
         assert one.tobytes() == limited[place].tobytes()
+        # Near the end of the grip a root makes much of how a product is rounded.
         np.testing.assert_allclose(
-            one, limits_one_by_one(many[place], u[place], dt), rtol=1e-12, atol=1e-9
+            one, limits_one_by_one(many[place], u[place], dt), rtol=1e-12, atol=1e-6
         )
     # One input for many states, and many inputs for one state.
     np.testing.assert_array_equal(

@@ -1,4 +1,4 @@
-"""``dos-v1``: dynamic occupancy sets around the trajectories of any predictor."""
+"""``dos-v2``: dynamic occupancy sets around the trajectories of any predictor."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class DosPredictor(Predictor):
     measured with ``dosplan evaluate``. Parked and static road users keep sets of zero.
     """
 
-    name = "dos-v1"
+    name = "dos-v2"
     settings = DosSettings
 
     def __init__(self, *, seed: int = 0, settings: DosSettings = DosSettings()) -> None:

@@ -176,11 +176,11 @@ def test_name(comparison: Comparison) -> str:
 
 
 def size_text(comparison: Comparison) -> str:
-    """Says over what a comparison is: pairs, and of how many scenarios, futures and places."""
+    """Says over what a comparison is: pairs, and of how many futures and places."""
     n, futures = comparison.n, comparison.futures
     parts = [f"n = {n}"]
     if futures > 1:
-        parts.append(f"scenarios = {n // futures}, futures = {futures}")
+        parts.append(f"futures = {futures}")
     return ", ".join([*parts, f"places = {comparison.places}"])
 
 

@@ -209,13 +209,13 @@ class SpeedPlanner:
         )
 
     def fastest(self, ego: EgoOnPath) -> float:
-        """The velocity that nothing may exceed, a goal's deadline neither.
+        """The velocity that may not be exceeded for the sake of a goal's deadline.
 
         Args:
             ego: Where the ego is.
 
         Returns:
-            m/s: the speed limit where it comes first, infinite otherwise.
+            m/s: the speed limit where the ego is, if the limit comes first; infinite otherwise.
         """
         if not self._config.speed.limit_first:
             return np.inf

@@ -243,7 +243,7 @@ def test_commands_know_the_futures(
     assert "12 of 12 rows agree" in capsys.readouterr().out
     assert main(["compare", run_folder]) == 0
     told = capsys.readouterr().out
-    assert "n = 6, scenarios = 2, futures = 3, places = 1" in told
+    assert "n = 6, futures = 3, places = 1" in told
     assert main(["explain", run_folder, scenario]) == 0
     told = capsys.readouterr().out
     assert told.count(f"{scenario}, with_dos") == told.count(f"{scenario}, without_dos") == FUTURES

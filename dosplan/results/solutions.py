@@ -44,14 +44,15 @@ def write_solutions(folder: RunFolder, refs: Iterable[ScenarioRef], manifest: Ru
             files = {problem: folder.recording(key) for problem, key in keys.items()}
             driven = {problem: file for problem, file in files.items() if file.is_file()}
             if driven:
-                drives = {problem: _drive(file) for problem, file in driven.items()}
+                recordings = {name: Recording.load(file) for name, file in driven.items()}
+                drives = {problem: _drive(recording) for problem, recording in recordings.items()}
+                traffic = next(iter(recordings.values())).traffic
                 date = max(_written(file) for file in driven.values())
                 place = folder.solution(problems[0].scenario, next(iter(keys.values())))
-                write_bytes(place, solution_xml(path, drives, date))
+                write_bytes(place, solution_xml(path, drives, date, traffic))
 
 
-def _drive(file: Path) -> Trajectory:
-    recording = Recording.load(file)
+def _drive(recording: Recording) -> Trajectory:
     return Trajectory(
         start_step=recording.start_step,
         states=recording.states,

@@ -182,3 +182,12 @@ def test_a_link_in_place_of_the_solutions_is_refused(tmp_path: Path) -> None:
     (folder.path / "solutions").symlink_to(outside)
     with pytest.raises(RunError, match="solutions is a link"):
         run_here(config)
+
+
+def test_a_drive_among_others_than_the_recorded_is_marked(tmp_path: Path) -> None:
+    path = write_scenario_xml(tmp_path / "scene.xml")
+    plain = solution_xml(path, {None: driven(3)}, DATE)
+    marked = solution_xml(path, {None: driven(3)}, DATE, "reactive-v1")
+    assert b"<!--" not in plain
+    assert b"<!-- driven among reactive-v1, not the recorded road users -->" in marked
+    assert read(marked)[0] == read(plain)[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+import re
 import time
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -213,7 +214,7 @@ def test_a_plan_that_comes_too_late_is_a_failure_of_the_planner() -> None:
 
     episode = drive(LoopSettings(real_time=True), straight_scenario(), LatestPlanner())
     assert episode.end is EpisodeEnd.PLANNER_FAILURE
-    assert "the last plan ends before this one is there, which took 3.05 s" in episode.error
+    assert re.search(r"before this one is there, which took [3-9]\.\d\d s", episode.error)
 
 
 # Actuators.

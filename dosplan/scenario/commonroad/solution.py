@@ -28,6 +28,8 @@ from dosplan.vehicle import VehicleParameters
 
 MODEL: Final = "KS2"
 COST_FUNCTION: Final = "WX1"
+RECORDED: Final = "replay"
+"""Name of the traffic in which all drive as recorded."""
 _VEHICLE: Final = VehicleParameters()  # Vehicle 2, which MODEL names.
 
 
@@ -48,7 +50,12 @@ class Trajectory:
     seconds: float
 
 
-def solution_xml(path: Path, drives: Mapping[int | None, Trajectory], date: datetime) -> bytes:
+def solution_xml(
+    path: Path,
+    drives: Mapping[int | None, Trajectory],
+    date: datetime,
+    traffic: str = RECORDED,
+) -> bytes:
     """Writes what was driven in a scenario file as a CommonRoad solution.
 
     The states are those at the file's own steps; between two steps of 0.1 s they follow from the
@@ -59,6 +66,9 @@ def solution_xml(path: Path, drives: Mapping[int | None, Trajectory], date: date
         drives: The drive of each planning problem that has one, by its id; None stands for the
             only problem of a file that holds one.
         date: When it was driven.
+        traffic: Name of the traffic that the drive met. Where that is not the recording, a comment
+            in the solution says so: whoever checks it against the recorded road users judges
+            another drive.
 
     Returns:
         The solution as XML.
@@ -97,6 +107,9 @@ def solution_xml(path: Path, drives: Mapping[int | None, Trajectory], date: date
     )
     if seconds := sum(drive.seconds for _, drive in driven):
         root.set("computation_time", f"{seconds:.3f}")
+    if traffic != RECORDED:
+        who = traffic.replace("--", "- -")  # Which would end a comment.
+        root.append(ElementTree.Comment(f" driven among {who}, not the recorded road users "))
     for name, drive in driven:
         root.append(_trajectory(name, drive, resamplings[name]))
     ElementTree.indent(root)

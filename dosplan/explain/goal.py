@@ -15,6 +15,7 @@ from dosplan.scoring.progress import MAKING_PROGRESS, needed_progress
 from dosplan.types import USER_HEADING, USER_VELOCITY, FloatArray, GoalState
 
 _DEGREE: Final = np.pi / 180.0
+_STANDSTILL: Final = 0.01  # Whoever moves less from a step to the end stood there, m.
 _PLACES: Final = {
     "ahead": "it lay ahead",
     "left": "the ego passed beside it, which lay to the left",
@@ -28,7 +29,8 @@ class GoalFacts:
     """One of the alternative goals at the step of the drive that came nearest to it.
 
     Nearest is by the distance to its region, then by the time outside its window, then by how far
-    heading and velocity are off together, a degree counting as much as 0.1 m/s.
+    heading and velocity are off together, a degree counting as much as 0.1 m/s. Where the ego stood
+    outside the region from then until the end, it is the last step.
 
     Attributes:
         goal: Which of the alternatives, from 1.
@@ -81,6 +83,8 @@ class GoalFacts:
         where = _PLACES.get(self.side or "", "the ego was in it")
         if self.side == "ahead" and self.at_end:
             where = "it still lay ahead: the ego would have come too late"
+        elif self.side in ("left", "right") and self.at_end:
+            where = f"it still lay to the {self.side} when the drive ended"
         return (
             f"position never reached: closest {self.distance:.2f} m, {self.seconds:.1f} s after "
             f"the start{when}, driving {self.velocity:.1f} m/s; {where}"
@@ -140,6 +144,9 @@ def _facts(drive: Drive, number: int, goal: GoalState) -> GoalFacts:
         for step, row in enumerate(ego, drive.start)
     ]
     best = min(range(len(misses)), key=lambda i: _rank(misses[i]))
+    moved = np.hypot(*(ego[best:, :2] - ego[best, :2]).T)
+    if misses[best].distance > TOLERANCE and moved.max() < _STANDSTILL:
+        best = len(ego) - 1
     miss = misses[best]
     return GoalFacts(
         goal=number,

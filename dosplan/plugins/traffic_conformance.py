@@ -152,7 +152,13 @@ def traffic_contract(
         return made_by(seed=SEED, settings=settings, future=future)
 
     def drive(future: int = 0, braking: float = 0.0) -> TrafficTrace:
-        return drive_traffic(build(future), scene, braking)
+        traffic = build(future)
+        if scenario is None and (why := traffic.refuses(scene)) is not None:
+            raise BrokenError(
+                "refuses a scene built in code; name one that it drives with --scenario FILE "
+                f"(it says that the scene {why})"
+            )
+        return drive_traffic(traffic, scene, braking)
 
     drives = "begin gives the past, step the road users of the next step, as RoadUsers"
     rules = [

@@ -131,9 +131,10 @@ def compare_rows(
     """
     others = {row.scenario_future: row for row in b}
     if odd := {row.scenario_future for row in a} ^ others.keys():
+        only, lacks = (name_b, name_a) if min(odd) in others else (name_a, name_b)
         raise CompareError(
-            f"{name_a} and {name_b} did not drive the same scenarios: {min(odd).title} is in one "
-            "alone"
+            f"{name_a} and {name_b} did not drive the same scenarios and futures: "
+            f"{min(odd).title} is in {only} alone; drive it in {lacks} too"
         )
     if not a:
         raise CompareError(f"{name_a} and {name_b} hold no scenario")

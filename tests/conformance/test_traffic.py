@@ -42,6 +42,12 @@ class NoFuture(Good):
         super().__init__(seed=seed)
 
 
+class NeedsFiles(Good):
+    @classmethod
+    def refuses(cls, scenario: Scenario) -> str | None:
+        return "has no files beside it"
+
+
 class Elsewhere(Good):
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:
         return scenario.tracks
@@ -138,6 +144,11 @@ class CannotBeginAgain(Good):
 
 BAD: list[tuple[type[Any], str, str]] = [
     (NoFuture, "constructs", "unexpected keyword argument 'future'"),
+    (
+        NeedsFiles,
+        "drives",
+        "name one that it drives with --scenario FILE (it says that the scene has",
+    ),
     (Elsewhere, "drives", "begin must return Tracks of the steps 0 to"),
     (Grows, "drives", "has another kind or size than before"),
     (Nameless, "versioned_name", "give it a version"),

@@ -372,6 +372,18 @@ def test_a_missed_goal_tells_which_condition_failed(
     assert words in "\n".join(found.lines())
 
 
+def test_who_stood_until_the_end_has_not_passed_beside_the_goal() -> None:
+    goal = GoalState(0, 30, shapely.box(15.0, 20.0, 25.0, 25.0))
+    scenario = straight_scenario(goals=[goal], final_step=30)
+    states = np.repeat(scenario.task.start[None], 31, axis=0)
+    states[:, 0] += np.minimum(np.arange(31.0), 5.0)
+    episode = run_episode(scenario, Coast(), Discs(1.0), Arm.WITH_DOS)
+    facts = goal_of(explain_drive(Drive.of(scenario, replace(episode, states=states))))
+    assert (facts.side, facts.at_end, facts.seconds) == ("left", True, 3.0)
+    assert "at the last step" in facts.lines()[0]
+    assert facts.lines()[0].endswith("it still lay to the left when the drive ended")
+
+
 def test_every_alternative_goal_is_told(tmp_path: Path) -> None:
     near, far = (GoalState(0, 50, shapely.box(x, -2.0, x + 5.0, 2.0)) for x in (60.0, 90.0))
     found = explained(tmp_path, straight_scenario(goals=[near, far]))

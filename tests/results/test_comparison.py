@@ -115,8 +115,11 @@ def test_what_is_unusable_on_a_side_is_left_out_and_counted() -> None:
 
 def test_other_scenarios_are_refused() -> None:
     rows = _rows([Outcome.SUCCESS] * 3)
-    with pytest.raises(CompareError, match="did not drive the same scenarios: s2 is in one alone"):
+    alone = "did not drive the same scenarios and futures: s2 is in A alone; drive it in B too"
+    with pytest.raises(CompareError, match=alone):
         compare_rows(rows, rows[:2])
+    with pytest.raises(CompareError, match="s2 is in B alone; drive it in A too"):
+        compare_rows(rows[:2], rows)
     with pytest.raises(CompareError, match="hold no scenario"):
         compare_rows([], [])
 

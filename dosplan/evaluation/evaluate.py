@@ -176,8 +176,23 @@ def sample_path(
     seed_globals(seed)
     predictors = predictors_of(methods, seed, loop)
     seed_globals(seed)
+    return samples_or_reason(
+        ref, lambda: sample_file(load_recording(ref), predictors, every, loop, seed)
+    )
+
+
+def samples_or_reason(ref: ScenarioRef, measure: Callable[[], _Samples]) -> _Samples | str:
+    """Measures a file; what goes wrong loses this file only.
+
+    Args:
+        ref: The file.
+        measure: Measures it.
+
+    Returns:
+        What was measured, or one line that names the file and says why there is nothing.
+    """
     try:
-        return sample_file(load_recording(ref), predictors, every, loop, seed)
+        return measure()
     except ScenarioError as error:
         return str(error)  # It names the file.
     except PredictionError as error:

@@ -27,6 +27,7 @@ from dosplan.evaluation.evaluate import (
     each_file,
     one_problem_each,
     predictors_of,
+    samples_or_reason,
 )
 from dosplan.evaluation.groups import KINDS, family_of, group_windows, lights_of
 from dosplan.evaluation.methods import Method, build, check_labels, settings
@@ -199,19 +200,15 @@ def sample_pasts_of(
     seed_globals(seed)
     predictors = predictors_of(methods, seed)
     seed_globals(seed)
-    try:
+
+    def measure() -> PastSamples:
         scenario = load_scenario(ref)
         made = [create_traffic(traffic, seed, future=future) for future in range(futures)]
         if (why := made[0].refuses(scenario)) is not None:
-            return str(ScenarioError(ref.path, why))
+            raise ScenarioError(ref.path, why)
         return sample_pasts(scenario, predictors, made)
-    except ScenarioError as error:
-        return str(error)  # It names the file.
-    except PredictionError as error:
-        predictors_of.cache_clear()
-        return f"{ref.path}: {error}"
-    except Exception as error:  # An error in the reader loses one file only.
-        return f"{ref.path}: {one_line(error)}"
+
+    return samples_or_reason(ref, measure)
 
 
 def sample_pasts(

@@ -6,7 +6,7 @@ step which of them does. It is what the built-in planners keep, and any planner 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
@@ -29,6 +29,7 @@ from dosplan.types import (
     RouteStop,
     StopCause,
 )
+from dosplan.types.checks import check_numbers
 
 _ALIGNED: Final = 0.7  # Cosine of the angle to the path up to which somebody drives along it.
 _IN_LANE: Final = 1.75  # Distance from the path within which somebody is in the ego's lane, m.
@@ -79,13 +80,7 @@ class StopSettings:
     patience: float = 2.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{field.name} is {value}, expected 0 or more")
-        for name in ("comfortable", "hardest", "pull_away", "through"):
-            if getattr(self, name) == 0.0:
-                raise ValueError(f"{name} is 0, expected more")
+        check_numbers(self, positive={"comfortable", "hardest", "pull_away", "through"})
 
 
 @dataclass(frozen=True)

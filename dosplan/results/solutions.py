@@ -46,7 +46,8 @@ def write_solutions(folder: RunFolder, refs: Iterable[ScenarioRef], manifest: Ru
             if driven:
                 recordings = {name: Recording.load(file) for name, file in driven.items()}
                 drives = {problem: _drive(recording) for problem, recording in recordings.items()}
-                traffic = next(iter(recordings.values())).traffic
+                met = next(iter(recordings.values()))
+                traffic = None if met.tracks is None else met.traffic
                 date = max(_written(file) for file in driven.values())
                 place = folder.solution(problems[0].scenario, next(iter(keys.values())))
                 write_bytes(place, solution_xml(path, drives, date, traffic))

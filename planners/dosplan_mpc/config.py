@@ -7,34 +7,10 @@ Each part of the planner has settings of its own. Any of them can be set by name
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 from dosplan.geometry import StopSettings
-
-
-def _check(settings: Any, positive: Collection[str] = (), shares: Collection[str] = ()) -> None:
-    """Refuses numbers that are negative or not finite.
-
-    Args:
-        settings: An instance of a dataclass.
-        positive: Names of the numbers that may not be zero either.
-        shares: Names of those that may not be more than one.
-
-    Raises:
-        ValueError: A number is out of range.
-    """
-    for field in fields(settings):
-        name, value = field.name, getattr(settings, field.name)
-        if not isinstance(value, int | float):
-            continue
-        if not 0 <= value < math.inf:
-            raise ValueError(f"{name} is {value}, expected 0 or more")
-        if name in positive and value == 0:
-            raise ValueError(f"{name} is 0, expected more")
-        if name in shares and value > 1:
-            raise ValueError(f"{name} is {value}, expected 1 or less")
+from dosplan.types.checks import check_numbers
 
 
 @dataclass(frozen=True)
@@ -50,7 +26,7 @@ class Style:
     longitudinal: float
 
     def __post_init__(self) -> None:
-        _check(self, positive={"lateral", "longitudinal"})
+        check_numbers(self, positive={"lateral", "longitudinal"})
 
 
 @dataclass(frozen=True)
@@ -76,7 +52,7 @@ class PathSettings:
     end_margin: float = 0.3
 
     def __post_init__(self) -> None:
-        _check(self)
+        check_numbers(self)
 
 
 @dataclass(frozen=True)
@@ -104,7 +80,7 @@ class GoalSettings:
     common_share: float = 0.9
 
     def __post_init__(self) -> None:
-        _check(
+        check_numbers(
             self,
             positive={"spacing", "lateral_spacing", "lateral_reach"},
             shares={"common_share"},
@@ -161,7 +137,7 @@ class SpeedSettings:
     limit_first: bool = False
 
     def __post_init__(self) -> None:
-        _check(
+        check_numbers(
             self,
             positive={
                 *("winding", "steering_share", "run_up", "shortest_approach", "approach_end"),
@@ -196,7 +172,7 @@ class TrafficSettings:
     gap_gain: float = 0.5
 
     def __post_init__(self) -> None:
-        _check(self, shares={"alignment"})
+        check_numbers(self, shares={"alignment"})
 
 
 @dataclass(frozen=True)
@@ -220,7 +196,7 @@ class SetSettings:
     release_distance: float = 1.02
 
     def __post_init__(self) -> None:
-        _check(
+        check_numbers(
             self,
             positive={"release_seconds", "smallest_release", "release_distance"},
             shares={"smallest_release"},
@@ -263,7 +239,7 @@ class SamplerSettings:
     worth_it: float = 3.0
 
     def __post_init__(self) -> None:
-        _check(self, positive={"shortest_manoeuvre", "shortest_lookahead"})
+        check_numbers(self, positive={"shortest_manoeuvre", "shortest_lookahead"})
         if not all(map(math.isfinite, self.accelerations)):
             raise ValueError(f"accelerations are {self.accelerations}, expected finite numbers")
         if not self.manoeuvre_seconds or not all(0 < s < math.inf for s in self.manoeuvre_seconds):
@@ -301,7 +277,7 @@ class PassingSettings:
     reserve: float = 1.5
 
     def __post_init__(self) -> None:
-        _check(self, positive={"ahead", "shortest_way", "speed"})
+        check_numbers(self, positive={"ahead", "shortest_way", "speed"})
 
 
 @dataclass(frozen=True)
@@ -321,7 +297,7 @@ class ArrivalSettings:
     margin: float = 0.02
 
     def __post_init__(self) -> None:
-        _check(self, positive={"angles"})
+        check_numbers(self, positive={"angles"})
         if not self.margin < 0.5:
             raise ValueError(f"margin is {self.margin}, expected less than 0.5")
         if not self.switches or not self.accelerations:
@@ -344,7 +320,7 @@ class BarrierSettings:
     width: float = 5.0
 
     def __post_init__(self) -> None:
-        _check(self, positive={"length", "width"})
+        check_numbers(self, positive={"length", "width"})
 
 
 @dataclass(frozen=True)
@@ -433,7 +409,7 @@ class MpcConfig:
     barrier: BarrierSettings = BarrierSettings()
 
     def __post_init__(self) -> None:
-        _check(
+        check_numbers(
             self,
             positive={
                 *("horizon", "discs", "slack_curvature", "norm_rounding", "grip"),

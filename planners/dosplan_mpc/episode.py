@@ -139,11 +139,11 @@ class MpcEpisode:
         self._lane = Lane(config.traffic, self._path, vehicle, float(task.start[EGO_VELOCITY]))
         limits = LegalSpeed.of(task.route, config.speed.limit_factor)
         self._speed = SpeedPlanner(config, vehicle, self._path, windows, limits, task.dt)
+        self._half_width = half_width(config, vehicle)
         self._passing = PassingDecision(
-            config.passing, self._path, task.route, vehicle, half_width(config, vehicle)
+            config.passing, self._path, task.route, vehicle, self._half_width
         )
         self._rules = StopRules(task, config.stops)
-        self._half_width = half_width(config, vehicle)
         self._road = Road(road_map, self._path, vehicle, self._half_width)
         self._sampler = Sampler(config, vehicle, self._path, task.dt)
         self._arrivals = Arrivals(config.arrival, task, self._road.area, vehicle, self._sampler)

@@ -28,8 +28,6 @@ from dosplan.vehicle import VehicleParameters
 
 MODEL: Final = "KS2"
 COST_FUNCTION: Final = "WX1"
-RECORDED: Final = "replay"
-"""Name of the traffic in which all drive as recorded."""
 _VEHICLE: Final = VehicleParameters()  # Vehicle 2, which MODEL names.
 
 
@@ -54,7 +52,7 @@ def solution_xml(
     path: Path,
     drives: Mapping[int | None, Trajectory],
     date: datetime,
-    traffic: str = RECORDED,
+    traffic: str | None = None,
 ) -> bytes:
     """Writes what was driven in a scenario file as a CommonRoad solution.
 
@@ -66,9 +64,8 @@ def solution_xml(
         drives: The drive of each planning problem that has one, by its id; None stands for the
             only problem of a file that holds one.
         date: When it was driven.
-        traffic: Name of the traffic that the drive met. Where that is not the recording, a comment
-            in the solution says so: whoever checks it against the recorded road users judges
-            another drive.
+        traffic: Name of the traffic, where the road users did not drive as recorded. A comment in
+            the solution says so: whoever checks it against the recorded ones judges another drive.
 
     Returns:
         The solution as XML.
@@ -107,7 +104,7 @@ def solution_xml(
     )
     if seconds := sum(drive.seconds for _, drive in driven):
         root.set("computation_time", f"{seconds:.3f}")
-    if traffic != RECORDED:
+    if traffic is not None:
         who = traffic.replace("--", "- -")  # Which would end a comment.
         root.append(ElementTree.Comment(f" driven among {who}, not the recorded road users "))
     for name, drive in driven:

@@ -31,6 +31,7 @@ from dosplan.geometry.plane import (
     wrap_angle,
 )
 from dosplan.geometry.stops import StopRules, StopSettings, Wait
+from dosplan.geometry.union import covering_ellipse, occupancy_of_union
 
 __all__ = [
     "NO_LIGHT",
@@ -49,6 +50,7 @@ __all__ = [
     "areas",
     "braking_envelope",
     "close_seams",
+    "covering_ellipse",
     "ellipse_area",
     "ellipse_extent",
     "inside_ellipse",
@@ -58,6 +60,7 @@ __all__ = [
     "lanelets_off_road",
     "lights_at",
     "mahalanobis",
+    "occupancy_of_union",
     "rectangle_corners",
     "set_sizes",
     "to_body",

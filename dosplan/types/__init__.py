@@ -47,6 +47,7 @@ from dosplan.types.planning import (
     Observation,
     Occupancy,
     Plan,
+    SetUnion,
     SolveReport,
     SolveStatus,
 )
@@ -119,6 +120,7 @@ __all__ = [
     "Scenario",
     "ScenarioFuture",
     "Score",
+    "SetUnion",
     "ShapeError",
     "Sightings",
     "SignRule",

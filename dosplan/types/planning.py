@@ -28,6 +28,7 @@ from dosplan.types.road import RoadMap
 from dosplan.types.scenario import PlanningTask, RoadUserKind
 
 HISTORY_STEPS: Final = 31  # Steps of the past that a predictor sees, the present one included: 3 s.
+WEIGHT_TOLERANCE: Final = 1e-6  # By which the weights of a union may miss a sum of 1.
 
 
 @dataclass(frozen=True)
@@ -107,8 +108,88 @@ class Observation:
 
 
 @dataclass(frozen=True)
+class SetUnion:
+    """Several sets for each road user and step: one ellipse for each thing that it may do.
+
+    The road user is predicted to be in any of them. A component is one course of events, so its
+    number m stands for the same one at every step. A component of weight zero is not there: it
+    fills the arrays of a road user that has fewer than others, and no reader looks at it.
+
+    Attributes:
+        weight: (N, M) probability of each component; they sum to 1 for each road user.
+        centre: (N, M, T, 2) predicted centre, m.
+        semi_axes: (N, M, T, 2) semi-axes of the ellipses, m; zero means the centre itself.
+        angle: (N, M, T) direction of the first semi-axis, rad.
+        heading: (N, M, T) predicted heading of the road user, rad.
+    """
+
+    weight: FloatArray
+    centre: FloatArray
+    semi_axes: FloatArray
+    angle: FloatArray
+    heading: FloatArray
+
+    def __post_init__(self) -> None:
+        frozen(self, "weight", np.float64, (None, None), finite=True)
+        n, m = self.weight.shape
+        if m == 0:
+            raise ShapeError(f"SetUnion.weight has shape ({n}, 0); a union needs one component")
+        frozen(self, "centre", np.float64, (n, m, None, 2))
+        t = self.centre.shape[2]
+        frozen(self, "semi_axes", np.float64, (n, m, t, 2))
+        frozen(self, "angle", np.float64, (n, m, t))
+        frozen(self, "heading", np.float64, (n, m, t))
+        if np.any(self.weight < 0.0):
+            raise ShapeError("SetUnion.weight holds a negative weight")
+        total = self.weight.sum(axis=1)
+        wrong = np.flatnonzero(np.abs(total - 1.0) > WEIGHT_TOLERANCE)
+        if len(wrong):
+            raise ShapeError(
+                f"SetUnion.weight sums to {total[wrong[0]]:g} in row {wrong[0]}, expected 1"
+            )
+
+    @property
+    def count(self) -> int:
+        """Number M of components."""
+        return int(self.weight.shape[1])
+
+    @property
+    def horizon(self) -> int:
+        """Number T of predicted steps."""
+        return int(self.centre.shape[2])
+
+    @property
+    def present(self) -> BoolArray:
+        """(N, M) whether each component is there: its weight is above zero."""
+        return self.weight > 0.0
+
+    @property
+    def likeliest(self) -> IntArray:
+        """(N,) number of the component of the largest weight; the first of several."""
+        return np.asarray(np.argmax(self.weight, axis=1))
+
+    def of_steps(self, steps: slice) -> Self:
+        """The same for some steps only.
+
+        Args:
+            steps: Which.
+
+        Returns:
+            These columns of every array.
+        """
+        parts = ("centre", "semi_axes", "angle", "heading")
+        return replace(self, **{name: getattr(self, name)[:, :, steps] for name in parts})
+
+
+@dataclass(frozen=True)
 class Occupancy:
-    """Where road users will be: one ellipse for each road user's **centre** and future step.
+    """Where road users will be: a set for each road user's **centre** and future step.
+
+    The set is an ellipse, or a union of ellipses. A reader of ``centre``, ``semi_axes`` and
+    ``angle`` alone is on the safe side: with a union, these are one ellipse that covers those of
+    the union (``dosplan.geometry.occupancy_of_union`` makes it), and ``heading`` is that of the
+    most likely component. A reader that knows unions goes over ``by_component()``, where an
+    occupancy without a union has one component for each road user.
 
     Column ``t`` of the arrays stands for step ``observation.step + 1 + t``.
 
@@ -120,6 +201,8 @@ class Occupancy:
         valid: (N, T) whether the road user is predicted to be on the scene.
         footprint: (N, 2) length and width of the road user, m.
         heading: (N, T) predicted heading of the road user, rad.
+        union: The ellipses of each set where it is a union of several; None where the ellipse
+            above is the set.
     """
 
     ids: IntArray
@@ -129,6 +212,7 @@ class Occupancy:
     valid: BoolArray
     footprint: FloatArray
     heading: FloatArray
+    union: SetUnion | None = None
 
     def __post_init__(self) -> None:
         frozen(self, "ids", np.int64, (None,))
@@ -145,6 +229,27 @@ class Occupancy:
                 raise ShapeError(f"Occupancy.{name} holds a NaN or an infinite value where valid")
         if np.any(self.semi_axes[self.valid] < 0):
             raise ShapeError("Occupancy.semi_axes holds a negative length")
+        if self.union is not None:
+            self._check_union(self.union)
+
+    def _check_union(self, union: SetUnion) -> None:
+        if not isinstance(union, SetUnion):
+            raise ShapeError(f"Occupancy.union is {union!r}, expected a SetUnion or None")
+        n, t = self.valid.shape
+        have = (len(union.weight), union.horizon)
+        if have != (n, t):
+            raise ShapeError(
+                f"Occupancy.union is of {have[0]} road users and {have[1]} steps, expected "
+                f"{n} and {t}"
+            )
+        known = union.present[:, :, None] & self.valid[:, None]
+        for name in ("centre", "semi_axes", "angle", "heading"):
+            if not np.all(np.isfinite(getattr(union, name)[known])):
+                raise ShapeError(
+                    f"Occupancy.union.{name} holds a NaN or an infinite value where valid"
+                )
+        if np.any(union.semi_axes[known] < 0):
+            raise ShapeError("Occupancy.union.semi_axes holds a negative length")
 
     @classmethod
     def from_trajectory(
@@ -196,10 +301,7 @@ class Occupancy:
         Returns:
             The first columns of every array.
         """
-        if count >= self.horizon:
-            return self
-        parts = ("centre", "semi_axes", "angle", "valid", "heading")
-        return replace(self, **{name: getattr(self, name)[:, :count] for name in parts})
+        return self if count >= self.horizon else self._of_steps(slice(count))
 
     def later(self, steps: int) -> Self:
         """The same as it is for a planner that acts some steps after what was observed.
@@ -210,14 +312,57 @@ class Occupancy:
         Returns:
             Every array without its first columns.
         """
-        if steps == 0:
-            return self
+        return self if steps == 0 else self._of_steps(slice(steps, None))
+
+    def _of_steps(self, steps: slice) -> Self:
         parts = ("centre", "semi_axes", "angle", "valid", "heading")
-        return replace(self, **{name: getattr(self, name)[:, steps:] for name in parts})
+        union = None if self.union is None else self.union.of_steps(steps)
+        return replace(self, union=union, **{name: getattr(self, name)[:, steps] for name in parts})
 
     def without_sets(self) -> Self:
-        """The same predicted positions with semi-axes of zero: the *without DOS* arm."""
-        return replace(self, semi_axes=np.zeros_like(self.semi_axes))
+        """The predicted positions with semi-axes of zero: the *without DOS* arm.
+
+        Returns:
+            Points where the ellipses were; of a union, those of the most likely component.
+        """
+        likeliest = self.likeliest()
+        return replace(likeliest, semi_axes=np.zeros_like(self.semi_axes))
+
+    def likeliest(self) -> Self:
+        """The most likely component of every union.
+
+        Returns:
+            An occupancy of one ellipse each; itself where there is no union.
+        """
+        union = self.union
+        if union is None:
+            return self
+        which = np.arange(len(self.ids)), union.likeliest
+        parts = ("centre", "semi_axes", "angle", "heading")
+        return replace(self, union=None, **{name: getattr(union, name)[which] for name in parts})
+
+    def by_component(self) -> tuple[Self, IntArray, FloatArray]:
+        """Every component as a road user of its own.
+
+        Returns:
+            An occupancy of one ellipse for each of R components, those of one road user one after
+            another, so that its id is there several times; (R,) the row of the road user here;
+            (R,) the component's weight. Without a union that is itself, every row, and ones.
+        """
+        union = self.union
+        if union is None:
+            return self, np.arange(len(self.ids)), np.ones(len(self.ids))
+        rows, which = np.nonzero(union.present)
+        parts = ("centre", "semi_axes", "angle", "heading")
+        spread = replace(
+            self,
+            ids=self.ids[rows],
+            valid=self.valid[rows],
+            footprint=self.footprint[rows],
+            union=None,
+            **{name: getattr(union, name)[rows, which] for name in parts},
+        )
+        return spread, rows, union.weight[rows, which]
 
 
 class SolveStatus(Enum):

@@ -20,6 +20,7 @@ from dosplan.types import (
     Route,
     RouteStop,
     Scenario,
+    SetUnion,
     Signals,
     StopCause,
 )
@@ -112,4 +113,19 @@ def occupancy_at(centres: FloatArray, horizon: int, semi_axis: float = 0.0) -> O
         valid=np.ones((n, horizon), dtype=np.bool_),
         footprint=np.tile(CAR_SIZE, (n, 1)),
         heading=np.zeros((n, horizon)),
+    )
+
+
+def random_union(
+    rng: np.random.Generator, users: int, count: int, steps: int, spread: float, reach: float
+) -> SetUnion:
+    """Unions of ``count`` ellipses on a map, about ``spread`` apart and up to ``reach`` long."""
+    weight = rng.uniform(0.1, 1.0, (users, count))
+    apart = rng.normal(size=(users, count, steps, 2))
+    return SetUnion(
+        weight=weight / weight.sum(axis=1, keepdims=True),
+        centre=5e5 + rng.uniform(-50.0, 50.0, (users, 1, 1, 2)) + spread * apart,
+        semi_axes=reach * rng.uniform(0.1, 1.0, (users, count, steps, 2)),
+        angle=rng.uniform(-9.0, 9.0, (users, count, steps)),
+        heading=rng.uniform(-9.0, 9.0, (users, count, steps)),
     )

@@ -22,12 +22,13 @@ from dosplan.types import (
     Occupancy,
     Plan,
     PlanningTask,
+    SetUnion,
     ShapeError,
     SolveReport,
     SolveStatus,
     Tracks,
 )
-from tests.support.factories import occupancy_at
+from tests.support.factories import occupancy_at, random_union
 
 
 def test_arrays_are_read_only_and_the_given_ones_stay_writable() -> None:
@@ -111,6 +112,107 @@ def test_without_sets_keeps_everything_but_the_semi_axes() -> None:
     assert sets.semi_axes.all()
     for field in ("ids", "centre", "angle", "valid", "footprint", "heading"):
         np.testing.assert_array_equal(getattr(bare, field), getattr(sets, field))
+
+
+def with_union(count: int = 3, steps: int = 5) -> tuple[Occupancy, SetUnion]:
+    """Two road users whose sets are unions; what they are covered by is of no matter here."""
+    union = random_union(np.random.default_rng(0), 2, count, steps, spread=9.0, reach=2.0)
+    return replace(occupancy_at(np.zeros((2, 2)), steps, semi_axis=99.0), union=union), union
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("weight", np.full((2, 3), 0.5), r"SetUnion\.weight sums to 1.5 in row 0, expected 1"),
+        ("weight", np.tile([1.5, -0.5, 0.0], (2, 1)), r"SetUnion\.weight holds a negative"),
+        ("weight", np.full((2, 3), np.nan), r"SetUnion\.weight holds a NaN"),
+        ("weight", np.ones((2, 0)), r"SetUnion\.weight has shape \(2, 0\); .* one component"),
+        (
+            "centre",
+            np.zeros((2, 5, 2)),
+            r"SetUnion\.centre has shape \(2, 5, 2\), expected \(2, 3,",
+        ),
+        ("semi_axes", np.zeros((2, 3, 4, 2)), r"SetUnion\.semi_axes .* expected \(2, 3, 5, 2\)"),
+        ("angle", np.zeros((2, 3, 5, 1)), r"SetUnion\.angle .* expected \(2, 3, 5\)"),
+        ("heading", np.zeros((2, 2, 5)), r"SetUnion\.heading .* expected \(2, 3, 5\)"),
+    ],
+)
+def test_a_union_names_the_field_and_the_shape(field: str, value: np.ndarray, message: str) -> None:
+    union = with_union()[1]
+    with pytest.raises(ShapeError, match=message):
+        replace(union, **{field: value})
+
+
+def test_occupancy_refuses_a_union_that_is_not_of_its_road_users_and_steps() -> None:
+    sets, _ = with_union()
+    with pytest.raises(ShapeError, match=r"union is of 2 road users and 4 steps, expected 2 and 5"):
+        replace(sets, union=with_union(steps=4)[1])
+    with pytest.raises(ShapeError, match=r"Occupancy\.union is 3, expected a SetUnion or None"):
+        replace(sets, union=3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("field", ["centre", "semi_axes", "angle", "heading"])
+def test_a_union_is_finite_where_it_is_valid_and_has_weight(field: str) -> None:
+    sets, union = with_union()
+    values = np.array(getattr(union, field))
+    values[1, 2, 3] = np.nan
+    broken = replace(union, **{field: values})
+    with pytest.raises(ShapeError, match=rf"Occupancy\.union\.{field} holds a NaN"):
+        replace(sets, union=broken)
+    valid = np.array(sets.valid)
+    valid[1, 3] = False
+    assert replace(sets, union=broken, valid=valid).union is broken
+    absent = replace(broken, weight=np.tile([0.5, 0.5, 0.0], (2, 1)))
+    assert replace(sets, union=absent).union is absent
+    with pytest.raises(ShapeError, match=r"Occupancy\.union\.semi_axes holds a negative"):
+        replace(sets, union=replace(union, semi_axes=-union.semi_axes))
+
+
+def test_steps_of_an_occupancy_are_those_of_its_union() -> None:
+    sets, union = with_union(steps=5)
+    for part, columns in ((sets.first_steps(3), [0, 1, 2]), (sets.later(2), [2, 3, 4])):
+        assert part.union is not None
+        assert part.horizon == part.union.horizon == 3
+        for field in ("centre", "semi_axes", "angle", "heading"):
+            wanted = getattr(union, field)[:, :, columns]
+            np.testing.assert_array_equal(getattr(part.union, field), wanted)
+        np.testing.assert_array_equal(part.union.weight, union.weight)
+    assert sets.first_steps(9) is sets.later(0) is sets
+
+
+def test_without_sets_the_most_likely_component_is_left() -> None:
+    sets, union = with_union()
+    union = replace(union, weight=np.array([[0.2, 0.7, 0.1], [0.1, 0.2, 0.7]]))
+    sets = replace(sets, union=union)
+    bare, likeliest = sets.without_sets(), sets.likeliest()
+    assert bare.union is None
+    assert not bare.semi_axes.any()
+    for field in ("centre", "angle", "heading"):
+        wanted = getattr(union, field)[[0, 1], [1, 2]]
+        np.testing.assert_array_equal(getattr(bare, field), wanted)
+        np.testing.assert_array_equal(getattr(likeliest, field), wanted)
+    np.testing.assert_array_equal(likeliest.semi_axes, union.semi_axes[[0, 1], [1, 2]])
+
+
+def test_each_component_is_a_road_user_of_its_own() -> None:
+    sets, union = with_union()
+    union = replace(union, weight=np.array([[0.25, 0.0, 0.75], [0.1, 0.2, 0.7]]))
+    spread, rows, weight = replace(sets, union=union).by_component()
+    assert rows.tolist() == [0, 0, 1, 1, 1]
+    assert weight.tolist() == [0.25, 0.75, 0.1, 0.2, 0.7]
+    assert spread.ids.tolist() == [100, 100, 101, 101, 101]
+    assert spread.union is None
+    which = [0, 2, 0, 1, 2]
+    for field in ("centre", "semi_axes", "angle", "heading"):
+        np.testing.assert_array_equal(getattr(spread, field), getattr(union, field)[rows, which])
+
+
+def test_without_a_union_each_road_user_is_its_own_component() -> None:
+    sets = occupancy_at(np.zeros((2, 2)), 3, semi_axis=1.0)
+    spread, rows, weight = sets.by_component()
+    assert spread is sets is sets.likeliest()
+    assert rows.tolist() == [0, 1]
+    assert weight.tolist() == [1.0, 1.0]
 
 
 def test_tracks_refuse_two_of_the_same_id_and_holes_that_are_marked_valid() -> None:

@@ -1,0 +1,167 @@
+"""Unions of ellipses, and the one ellipse that covers each of them.
+
+The covering ellipse has the centre and the shape of the components' moments: the mean of their
+centres, and the mean of their shape matrices plus the scatter of their centres. It is then scaled
+until it holds them all. With coordinates in which that shape is the unit disc, a component is the
+set of d + A u over all |u| <= 1, and the scale is the largest |d + A u|. Lagrangian duality gives
+a bound on its square for every multiplier m above the largest eigenvalue of A A',
+
+    m + sum_i q_i^2 m / (m - s_i^2),
+
+with s_i^2 the eigenvalues of A A' and q_i the part of d along their eigenvectors, and the smallest
+of these bounds is exact (the trust-region problem; Boyd and Vandenberghe, "Convex Optimization",
+appendix B.1). Whatever multiplier the search for the smallest ends at, the component is covered.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from dosplan.types import BoolArray, FloatArray, Observation, Occupancy, SetUnion
+
+_SEARCH_STEPS: Final = 3  # Newton steps for the multiplier; the cover is within 1e-4 of exact.
+_LEAST_OVER: Final = 1e-9  # A multiplier is above the eigenvalue; these are of the order of 1.
+_ROUNDING: Final = 1.0 + 1e-9  # So that boundaries that touch are inside in spite of rounding.
+_THINNEST: Final = 1e-3  # m; by about this, ellipses that are covered are thickened first.
+
+
+def occupancy_of_union(
+    observation: Observation, union: SetUnion, valid: BoolArray | None = None
+) -> Occupancy:
+    """Sets that are unions of ellipses, for all road users that are on the scene now.
+
+    Args:
+        observation: What the prediction was made from; N road users.
+        union: Their sets, for T steps.
+        valid: (N, T) where there is a prediction; None for everywhere.
+
+    Returns:
+        The sets, with the ellipses that cover them.
+
+    Raises:
+        ShapeError: The shapes do not match, or a value is not finite where valid.
+    """
+    if valid is None:
+        valid = np.ones((len(union.weight), union.horizon), dtype=np.bool_)
+    centre, semi_axes, angle = covering_ellipse(union)
+    heading = union.heading[np.arange(len(union.weight)), union.likeliest]
+    return Occupancy(
+        ids=observation.ids,
+        centre=centre,
+        semi_axes=semi_axes,
+        angle=angle,
+        valid=valid,
+        footprint=observation.size,
+        heading=heading,
+        union=union,
+    )
+
+
+def covering_ellipse(union: SetUnion) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """An ellipse around the components of each union.
+
+    Args:
+        union: M ellipses for each of N road users and T steps.
+
+    Returns:
+        (N, T, 2) its centre, m, (N, T, 2) semi-axes, m, and (N, T) the direction of the first,
+        rad. That of a road user with one component is this component. NaN where a component that
+        is there has one.
+    """
+    present = union.present
+    row = np.arange(len(present))
+    centre, semi_axes, angle = (
+        np.array(getattr(union, name)[row, union.likeliest])
+        for name in ("centre", "semi_axes", "angle")
+    )
+    several = present.sum(axis=1) > 1
+    if not np.any(several):
+        return centre, semi_axes, angle
+    share = present[several].astype(np.float64)  # Weights say nothing about what is to be covered.
+    share /= share.sum(axis=1, keepdims=True)
+    there = present[several][:, :, None]
+    with np.errstate(invalid="ignore"):
+        found = _cover(
+            share,
+            np.where(there[..., None], union.centre[several], centre[several][:, None]),
+            np.where(there[..., None], union.semi_axes[several], 0.0),
+            np.where(there, union.angle[several], 0.0),
+        )
+    centre[several], semi_axes[several], angle[several] = found
+    return centre, semi_axes, angle
+
+
+def _cover(
+    share: FloatArray, centre: FloatArray, semi_axes: FloatArray, angle: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The covering ellipses of (N, M, T) ellipses; a share of zero hides a component."""
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("nm,nmt->nt", share, values))
+
+    # Relative to a component, since map coordinates are large and precision would be lost.
+    origin = centre[:, 0]
+    relative = centre - origin[:, None]
+    middle = np.einsum("nm,nmtc->ntc", share, relative)
+    x, y = np.moveaxis(relative - middle[:, None], -1, 0)
+    a, b = semi_axes[..., 0], semi_axes[..., 1]
+    half, lean = 0.5 * (a * a + b * b) + _THINNEST**2, 0.5 * (a * a - b * b)
+    along, across = lean * np.cos(2.0 * angle), lean * np.sin(2.0 * angle)
+    xx, xy, yy = half + along, across, half - along
+    # The shape S, and its Cholesky factor (low, 0; lean, high).
+    sxx = mean(xx + x * x)
+    sxy = mean(xy + x * y)
+    syy = mean(yy + y * y)
+    low = np.sqrt(sxx)
+    skew = sxy / low
+    high = np.sqrt(np.maximum(syy - skew * skew, 0.25 * _THINNEST**2))
+    needed = np.zeros_like(low)
+    for m in range(share.shape[1]):  # One after another: small arrays stay in the cache.
+        # With z = L^-1 (p - c), the shape is the unit disc.
+        u = x[:, m] / low
+        v = (y[:, m] - skew * u) / high
+        uu = xx[:, m] / sxx
+        cross = xy[:, m] / low - skew * uu
+        vv = (yy[:, m] - skew * (xy[:, m] / low + cross)) / (high * high)
+        reach = _reach(u, v, uu, cross / high, vv)
+        needed = np.maximum(needed, np.where(share[:, m, None] > 0.0, reach, 0.0))
+    across, along = low * skew, 0.5 * (sxx - skew * skew - high * high)
+    longest = 0.5 * (sxx + skew * skew + high * high) + np.sqrt(along**2 + across**2)
+    axes = np.sqrt(np.stack([longest, (low * high) ** 2 / longest], axis=-1) * needed[..., None])
+    return origin + middle, axes * _ROUNDING, 0.5 * np.arctan2(across, along)
+
+
+def _reach(
+    u: FloatArray, v: FloatArray, uu: FloatArray, uv: FloatArray, vv: FloatArray
+) -> FloatArray:
+    """Bound on the largest squared distance from the origin to a point of an ellipse.
+
+    Args:
+        u: Its centre's first coordinate.
+        v: Its centre's second coordinate.
+        uu: Its shape matrix: first entry,
+        uv: the entry off the diagonal,
+        vv: last entry.
+
+    Returns:
+        The bounds; see the top of the module.
+    """
+    half, lean = 0.5 * (uu + vv), 0.5 * (uu - vv)
+    spread = np.sqrt(lean * lean + uv * uv)
+    s1, s2 = half + spread, np.maximum(half - spread, 0.0)
+    square = u * u + v * v
+    tilted = lean * (u * u - v * v) + 2.0 * uv * u * v
+    q1 = 0.5 * (square + tilted / np.maximum(spread, np.finfo(np.float64).tiny))
+    q1 = np.minimum(np.maximum(q1, 0.0), square)
+    # With m = s1 + over, the slope of the bound is 1 - g(over). The search begins where the larger
+    # of g's terms is 1, from where Newton's method on 1 / sqrt(g) does not pass the best.
+    p1, p2, gap = q1 * s1, (square - q1) * s2, s1 - s2
+    over = np.maximum(np.maximum(np.sqrt(p1), np.sqrt(p2) - gap), _LEAST_OVER)
+    for _ in range(_SEARCH_STEPS):
+        both = over + gap
+        a, b = p1 / (over * over), p2 / (both * both)
+        g = np.maximum(a + b, 1.0)
+        over = over + (g * np.sqrt(g) - g) / np.maximum(a / over + b / both, _LEAST_OVER)
+    return np.asarray(s1 + over + square + p1 / over + p2 / (over + gap))

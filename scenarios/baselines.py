@@ -89,7 +89,7 @@ def success_table(manifest: Sequence[Mapping[str, str]], outcomes: Outcomes) -> 
     ids = [row["id"] for row in manifest]
     lines += ["", _line("outcome", *(f"{planner}, %" for planner in PLANNERS))]
     lines.append("|---" + "|--:" * 3 + "|")
-    for outcome in (outcome for outcome in Outcome if outcome is not Outcome.UNUSABLE):
+    for outcome in (outcome for outcome in Outcome if outcome.of_planner):
         counts = _counts(ids, outcomes, outcome)
         lines.append(_line(outcome.value, *(f"{100.0 * n / len(ids):.1f}" for n in counts)))
     return "\n".join(lines)

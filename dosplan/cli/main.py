@@ -38,7 +38,7 @@ _BUILT_IN: Final[Mapping[str, Command]] = {
 _EXIT_CODES: Final = """\
 exit codes:
   0    everything was done: every episode is scored, every file evaluated, every check passed
-  1    some episodes are planner failures, some files are unusable or could not be evaluated, or a
+  1    some episodes are failures, some files are unusable or could not be evaluated, or a
        check failed
   2    wrong usage or bad input; one line on stderr says what and where
   130  interrupted (Ctrl-C or SIGTERM); for a run, the same command with the same --out resumes

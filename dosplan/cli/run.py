@@ -65,7 +65,7 @@ class RunCommand:
         """Drives, and shows the figures of the run.
 
         Returns:
-            0; 1 where an episode is a planner failure or a scenario unusable; 130 where the run was
+            0; 1 where an episode is a failure or a scenario unusable; 130 where the run was
             interrupted.
 
         Raises:
@@ -132,8 +132,11 @@ class RunCommand:
         )
         for line in error_lines(read_rows(folder.rows)):
             print(line, file=sys.stderr)
-        failures = any(arm["planner_failure_rate"] for arm in summary.arms.values())
-        return FAILED if failures or summary.unusable else OK
+        failed = any(
+            arm["planner_failure_rate"] or arm["usable"] != arm["n"]
+            for arm in summary.arms.values()
+        )
+        return FAILED if failed else OK
 
 
 def _report_line(folder: Path) -> str:

@@ -39,7 +39,7 @@ class Explanation:
         lights: The traffic lights that the ego waited for, and those that it ran.
         margins: What was left in a success.
         planning: The planner's last cycles before that step.
-        error: What went wrong in a planner failure, or why the scenario is unusable.
+        error: What went wrong in a failure, or why the scenario is unusable.
         traceback: File of the traceback, relative to the run folder.
         notes: What reading the scenario file left out or corrected, a line each.
     """

@@ -163,7 +163,7 @@ class _Tally(_Teller):
         """Done, success so far in percent, and what is counted."""
         found = self.outcomes[arm]
         done = found.total()
-        usable = done - found[Outcome.UNUSABLE]
+        usable = sum(n for outcome, n in found.items() if outcome.of_planner)
         success = f"{100.0 * found[Outcome.SUCCESS] / usable:.1f}" if usable else "-"
         counts = [str(found[outcome]) for outcome in _COUNTED.values()]
         return [f"{done} of {self.episodes[arm]}", success, *counts]

@@ -94,7 +94,7 @@ def comparison_tables(comparison: Comparison) -> RenderableType:
     )
     title = f"A = {comparison.a}\nB = {comparison.b}\n{size_text(comparison)}"
     if comparison.unusable:
-        title += f"; left out as unusable: {comparison.unusable}"
+        title += f"; left out as unusable or failed by the traffic: {comparison.unusable}"
     notes = (
         "Intervals take into account that several scenarios are of one place. p of a share: exact "
         f"{test_name(comparison)} test over scenarios, and sign-flip test over places; of a mean: "

@@ -56,7 +56,8 @@ class Comparison:
         n: Number of pairs of episodes that are compared: scenarios times futures.
         futures: Number of futures of each scenario.
         places: Number of places the scenarios are of.
-        unusable: Number of pairs that are left out, since they are unusable on a side.
+        unusable: Number of pairs that are left out, since they are unusable, or the traffic failed,
+            on a side.
         differences: The difference of each metric by its name, over the pairs in which both
             sides have a value; a metric is left out where there is none.
         changes: Scenarios and futures whose outcome differs, in the run's order.
@@ -115,7 +116,7 @@ class Comparison:
 def compare_rows(
     a: Sequence[Score], b: Sequence[Score], name_a: str = "A", name_b: str = "B"
 ) -> Comparison:
-    """Compares the rows of two arms over the same scenarios, without those that are unusable.
+    """Compares the rows of two arms over the same scenarios, where both are of the planner.
 
     Args:
         a: Rows of side A, one for each scenario and future.
@@ -139,7 +140,7 @@ def compare_rows(
     if not a:
         raise CompareError(f"{name_a} and {name_b} hold no scenario")
     every = [(row, others[row.scenario_future]) for row in a]
-    pairs = [pair for pair in every if Outcome.UNUSABLE not in (pair[0].outcome, pair[1].outcome)]
+    pairs = [pair for pair in every if all(row.outcome.of_planner for row in pair)]
     found = {metric.name: _compare(metric, pairs) for metric in metrics.METRICS}
     return Comparison(
         a=name_a,

@@ -276,6 +276,7 @@ def find_recording(folder: RunFolder, row: Score) -> Recording | None:
         FileError: The file is missing or broken.
     """
     path = folder.recording(row.key)
-    if row.outcome in (Outcome.PLANNER_FAILURE, Outcome.UNUSABLE) and not path.exists():
+    may_lack = row.outcome is Outcome.PLANNER_FAILURE or not row.outcome.of_planner
+    if may_lack and not path.exists():
         return None
     return Recording.load(path)

@@ -63,7 +63,7 @@ def summary_cells(summary: Summary) -> list[Cells]:
     Returns:
         The tables, each with a row for each arm that ran; that of the solver only where a figure is
         not zero, as planners without a solver have none, and of the rules and costs those that
-        have a figure. The first counts the scenarios, and those of them that are usable where some
+        have a figure. The first counts the episodes, and those of them that are usable where some
         are not.
     """
     arms = {ARM_TITLES[arm]: figures for arm, figures in summary.arms.items()}
@@ -80,7 +80,8 @@ def summary_cells(summary: Summary) -> list[Cells]:
             continue
         last = []
         if group is Group.MAIN:
-            last = ["n", "usable"] if summary.unusable else ["n"]
+            left_out = any(figures["usable"] != figures["n"] for figures in arms.values())
+            last = ["n", "usable"] if left_out else ["n"]
         headings = ["Arm", *(metric.heading for metric in columns), *last]
         rows = [
             [

@@ -22,13 +22,13 @@ from dosplan.scenario.sources.catalogue import source_text
 from dosplan.scoring import metrics
 from dosplan.system.files import FileError, read_json, write_json
 from dosplan.system.typed import plain, typed
-from dosplan.types import Arm, FloatArray, Outcome, Score
+from dosplan.types import Arm, FloatArray, Score
 
 ArmSummary = dict[str, int | float | None]
 """The figures of one arm: ``n``, the number of episodes (scenarios times futures), ``usable``, the
-number of those that somebody could drive, and over these the figure of each metric by its key
-(``dosplan.scoring.metrics.Metric.key``). Shares lie between 0 and 1; None where no episode has a
-value."""
+number of those that are not unusable and in which the traffic did not fail, and over these the
+figure of each metric by its key (``dosplan.scoring.metrics.Metric.key``). Shares lie between 0 and
+1; None where no episode has a value."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,7 +263,7 @@ def pooled_cycle_ms(folder: RunFolder, rows: Iterable[Score], arm: Arm) -> Float
 def _summarise_arm(rows: Sequence[Score], n: int, cycle_ms: FloatArray) -> ArmSummary:
     if len(rows) != n:
         raise ValueError(f"{len(rows)} rows for {n} episodes: every episode needs its row")
-    usable = sum(row.outcome is not Outcome.UNUSABLE for row in rows)
+    usable = sum(row.outcome.of_planner for row in rows)
     figures: ArmSummary = {"n": n, "usable": usable}
     return figures | {m.key: m.summarise(rows, cycle_ms) for m in metrics.METRICS}
 

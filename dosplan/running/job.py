@@ -34,7 +34,7 @@ from dosplan.simulation.loop import run_episode
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import one_line
 from dosplan.system.workers import seed_globals
-from dosplan.types import Arm, EpisodeEnd, EpisodeKey, Score
+from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
 Plugins = tuple[Planner, Predictor, Traffic]
 
@@ -127,7 +127,12 @@ class Session:
         plugins, self._plugins = self._plugins, None
         try:
             seed_globals(config.seed)
-            plugins = _with_future(plugins or make_plugins(config), config, task.future)
+            plugins = plugins or make_plugins(config)
+            try:
+                plugins = _with_future(plugins, config, task.future)
+            except (Exception, SystemExit) as error:
+                self._end_if_quit(error)
+                return failed_result(task.key, error, Outcome.TRAFFIC_FAILURE)
             planner, predictor, traffic = plugins
             seed_globals(config.seed)
             scenario = load_scenario(task.ref, cached=config.cache)
@@ -144,7 +149,7 @@ class Session:
             return failed_result(task.key, error)
         for failure in raised:
             self._end_if_quit(failure)
-        if episode.end is not EpisodeEnd.PLANNER_FAILURE:
+        if not raised:
             self._plugins = plugins
         return EpisodeResult(done.row, recording, _text(raised[0]) if raised else None)
 
@@ -170,17 +175,20 @@ def unreadable(ref: ScenarioRef, what: str) -> str:
     return str(ScenarioError(ref.path, f"cannot be read ({what}); leave it out"))
 
 
-def failed_result(key: EpisodeKey, error: BaseException) -> EpisodeResult:
+def failed_result(
+    key: EpisodeKey, error: BaseException, outcome: Outcome = Outcome.PLANNER_FAILURE
+) -> EpisodeResult:
     """The result of an episode that an exception has ended.
 
     Args:
         key: The episode.
         error: What was raised.
+        outcome: Whose failure it is.
 
     Returns:
         A failed row and the traceback.
     """
-    return EpisodeResult(failed_score(key, one_line(error)), traceback=_text(error))
+    return EpisodeResult(failed_score(key, one_line(error), outcome), traceback=_text(error))
 
 
 def make_plugins(config: RunConfig) -> Plugins:

@@ -46,7 +46,7 @@ from dosplan.running.progress import Observer
 from dosplan.scenario import ScenarioRef, find_scenarios
 from dosplan.scenario.sources.catalogue import find_ids
 from dosplan.scenario.sources.selection import matching, sampled
-from dosplan.scoring.score import unusable_score
+from dosplan.scoring.score import failed_score
 from dosplan.simulation.settings import loop_name
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.files import remove_half_written, write_bytes, write_text
@@ -173,7 +173,7 @@ def _check(
                 reasons[ref.id] = reason
             observer.checking(done, len(refs))
     rows = [
-        manifest.row(unusable_score(task.key, reasons[task.ref.id]))
+        manifest.row(failed_score(task.key, reasons[task.ref.id], Outcome.UNUSABLE))
         for task in left
         if task.ref.id in reasons
     ]

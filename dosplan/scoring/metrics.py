@@ -147,10 +147,10 @@ class Metric:
             row: The episode's row.
 
         Returns:
-            The value, or None where the episode has none. What is unusable never has one: here, and
-            here alone, it drops out of every share, mean and comparison.
+            The value, or None where the episode has none. What is unusable, and a failure of the
+            traffic, never has one: here, and here alone, it drops out of every share and mean.
         """
-        if row.outcome is Outcome.UNUSABLE:
+        if not row.outcome.of_planner:
             return None
         return row.measures.get(self.name) if self.read is None else self.read(row)
 

@@ -15,12 +15,14 @@ Definitions
   rectangle with a road user's shape at the same step; also swept between steps), `out_of_bounds`
   (part of the ego's rectangle outside the drivable area), `planner_failure` (exception, time-out,
   no plan and no fallback), `goal_missed`, `success`. The denominator is the manifest without
-  what is unusable: an episode that crashed is a row with its traceback. The paper counts success =
-  neither collision nor out-of-bounds: report that as `safe` beside `success`. An episode that
-  failed was not driven to its end and is not called safe.
+  what is unusable or failed by the traffic: an episode that crashed is a row with its traceback.
+  The paper counts success = neither collision nor out-of-bounds: report that as `safe` beside
+  `success`. An episode that failed was not driven to its end and is not called safe.
 - **Unusable**: what nobody could drive (unreadable, no goal, the start inside a road user or off
   the road, no trajectory). Told before anything is driven, listed by file and reason, outside the
   rates, inside the count. It is no outcome of a planner.
+- **Traffic failure**: the traffic raised before anything else had happened. It is a row with its
+  reason, outside the rates, inside the count, as what is unusable: no planner is judged by it.
 - **Progress**: where a goal is a time alone, standing still is no success: nuPlan's *making
   progress* counts, at least 0.2 of the way that is expected. That is the way at the speed of the
   start until the goal counts, but not past who is ahead of the ego then, nor past a red light. So
@@ -66,7 +68,6 @@ it is at fault in none.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -93,7 +94,6 @@ from dosplan.types import (
     EpisodeKey,
     FloatArray,
     IntArray,
-    Measure,
     Outcome,
     PlanningTask,
     Route,
@@ -102,6 +102,8 @@ from dosplan.types import (
     Tracks,
 )
 from dosplan.vehicle import VehicleParameters
+
+_FAILURES: Final = (Outcome.PLANNER_FAILURE, Outcome.TRAFFIC_FAILURE)
 
 COLLISION_HORIZON: Final = 3.0
 """How far ahead a collision under constant velocities is looked for, s (nuPlan's)."""
@@ -175,6 +177,8 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         outcome = Outcome.SUCCESS
     elif episode.end is EpisodeEnd.PLANNER_FAILURE:
         outcome = Outcome.PLANNER_FAILURE
+    elif episode.end is EpisodeEnd.TRAFFIC_FAILURE:
+        outcome = Outcome.TRAFFIC_FAILURE
     else:
         outcome = Outcome.GOAL_MISSED
 
@@ -221,7 +225,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         cycle_ms_p50=median,
         cycle_ms_p99=slowest,
         fallback_cycles=sum(report.fallback is not None for report in part.reports),
-        error=episode.error if outcome is Outcome.PLANNER_FAILURE else None,
+        error=episode.error if outcome in _FAILURES else None,
         traffic=episode.traffic,
         future=episode.future,
         loop=episode.loop,
@@ -229,30 +233,19 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
     )
 
 
-def failed_score(key: EpisodeKey, error: str) -> Score:
+def failed_score(key: EpisodeKey, error: str, outcome: Outcome = Outcome.PLANNER_FAILURE) -> Score:
     """The row of an episode that was not driven, for instance as its worker crashed.
 
     Args:
         key: The episode.
         error: What went wrong.
+        outcome: A failure, of the planner or of the traffic, or ``UNUSABLE``.
 
     Returns:
-        A planner failure without a step.
+        A row without a step; where its outcome is not the planner's, it takes part in no figure.
     """
-    return _not_driven(key, Outcome.PLANNER_FAILURE, error, failed_measures())
-
-
-def unusable_score(key: EpisodeKey, reason: str) -> Score:
-    """The row of a scenario that nobody could drive.
-
-    Args:
-        key: The episode.
-        reason: The file, and what is wrong with it.
-
-    Returns:
-        A row without a step, which takes part in no figure.
-    """
-    return _not_driven(key, Outcome.UNUSABLE, reason, dict.fromkeys(measured_kinds()))
+    measures = failed_measures() if outcome.of_planner else dict.fromkeys(measured_kinds())
+    return Score(**key._asdict(), outcome=outcome, error=error, measures=measures)
 
 
 def min_time_to_collision(
@@ -304,12 +297,6 @@ def _cuts_in(
         return False
     demand = cut_in_demand(contact, tracks, ego, scenario.task.vehicle, start, scenario.dt)
     return demand is not None and demand > CUT_IN_BRAKING
-
-
-def _not_driven(
-    key: EpisodeKey, outcome: Outcome, error: str, measures: Mapping[str, Measure]
-) -> Score:
-    return Score(**key._asdict(), outcome=outcome, error=error, measures=measures)
 
 
 def _needs_no_drive(task: PlanningTask, state: FloatArray, step: int) -> bool:

@@ -40,8 +40,9 @@ from dosplan.types import (
 class _PluginFailedError(Exception):
     """A planner, predictor or traffic raised; the message is the line for the episode."""
 
-    def __init__(self, message: str, cause: BaseException) -> None:
+    def __init__(self, message: str, end: EpisodeEnd, cause: BaseException) -> None:
         super().__init__(message)
+        self.end = end
         self.cause = cause
 
 
@@ -78,7 +79,8 @@ def run_episode(
     """Drives one scenario in closed loop.
 
     The episode ends at the first step at which a goal holds, at ``task.final_step``, or where
-    the planner, the predictor or the traffic raises. The start counts: a goal that holds there at
+    the planner, the predictor or the traffic raises; what a traffic raises is a failure of its own
+    and not the planner's. The start counts: a goal that holds there at
     once makes an episode of zero steps, as it does for CommonRoad's own goal check.
 
     In a loop with a latency, a plan is made of what was seen at a step and acts from a later one
@@ -110,7 +112,7 @@ def run_episode(
                 world = World(scenario, traffic, loop=loop)
             end = _drive(world, planner, predictor, arm, loop, log)
     except _PluginFailedError as failure:
-        end, error = EpisodeEnd.PLANNER_FAILURE, str(failure)
+        end, error = failure.end, str(failure)
         on_failure(failure.cause)
     last = scenario.task.start_step if world is None else world.now
     cycles = [cycle for cycle in log if cycle.acts <= last]  # The others never came to act.
@@ -316,4 +318,7 @@ def _named_failure(role: str, plugin: Planner | Predictor | Traffic) -> Iterator
     except (Exception, SystemExit) as error:
         name = getattr(plugin, "name", type(plugin).__name__)
         place = failure_place(error, type(plugin))
-        raise _PluginFailedError(f"{role} {name}: {one_line(error)} ({place})", error) from error
+        line = f"{role} {name}: {one_line(error)} ({place})"
+        is_traffic = isinstance(plugin, Traffic)
+        end = EpisodeEnd.TRAFFIC_FAILURE if is_traffic else EpisodeEnd.PLANNER_FAILURE
+        raise _PluginFailedError(line, end, error) from error

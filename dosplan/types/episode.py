@@ -72,6 +72,7 @@ class EpisodeEnd(StrEnum):
     GOAL_REACHED = "goal_reached"
     TIME_OVER = "time_over"
     PLANNER_FAILURE = "planner_failure"
+    TRAFFIC_FAILURE = "traffic_failure"
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ class Episode:
         cycle_steps: (C,) step at which each plan begins: that of the planner's observation, which
             is later than what was seen by the loop's latency. The columns of its occupancy stand
             for the steps after it.
-        error: What went wrong, where ``end`` is ``PLANNER_FAILURE``.
+        error: What went wrong, where ``end`` is a failure.
         traffic: Name of the traffic.
         signals: The traffic lights as they were; None where that is as recorded.
         future: Which continuation of the scenario's past was driven.
@@ -210,7 +211,7 @@ class DrivenEpisode(Protocol):
 
     @property
     def error(self) -> str | None:
-        """What went wrong in a planner failure, or None."""
+        """What went wrong in a failure of the planner or the traffic, or None."""
 
     @property
     def cycle_steps(self) -> IntArray:

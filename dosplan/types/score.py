@@ -16,7 +16,8 @@ Measure = float | int | bool | None
 class Outcome(StrEnum):
     """Outcome of an episode: the first that applies, in this order.
 
-    ``UNUSABLE`` is no outcome of a planner: nobody could drive the scenario, so it was not driven.
+    ``UNUSABLE`` and ``TRAFFIC_FAILURE`` are no outcomes of a planner: nobody could drive the
+    scenario, so it was not driven, or the traffic failed before anything else had happened.
     """
 
     UNUSABLE = "unusable"
@@ -24,8 +25,14 @@ class Outcome(StrEnum):
     COLLISION = "collision"
     OUT_OF_BOUNDS = "out_of_bounds"
     PLANNER_FAILURE = "planner_failure"
+    TRAFFIC_FAILURE = "traffic_failure"
     GOAL_MISSED = "goal_missed"
     SUCCESS = "success"
+
+    @property
+    def of_planner(self) -> bool:
+        """Whether the planner is judged by it."""
+        return self not in (Outcome.UNUSABLE, Outcome.TRAFFIC_FAILURE)
 
 
 class CollisionClass(StrEnum):
@@ -67,8 +74,8 @@ class Score:
         cycle_ms_p50: Median time of a full cycle (predict and plan), ms.
         cycle_ms_p99: 99th percentile of it, ms.
         fallback_cycles: Cycles in which a fallback was driven.
-        error: What went wrong in a planner failure, or why the scenario is unusable: its file and
-            the reason; None otherwise.
+        error: What went wrong in a failure of the planner or the traffic, or why the scenario is
+            unusable: its file and the reason; None otherwise.
         traffic: Name of the traffic; ``replay`` in rows of versions without it.
         future: Which continuation of the scenario's past was driven; 0 where there is one.
         loop: Name of the loop; ``ideal`` in rows of versions without it.

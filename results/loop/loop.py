@@ -45,7 +45,7 @@ from dosplan.scoring.metrics import find_metric
 from dosplan.simulation.settings import REALISTIC, LoopSettings
 from dosplan.system.errors import DosplanError
 from dosplan.system.files import FileError, read_json, write_json, write_text
-from dosplan.types import Arm, Outcome, Score
+from dosplan.types import Arm, Score
 
 TRAFFICS: Final = ("replay", "reactive", "sumo")
 SUITE: Final = "suite"
@@ -272,7 +272,7 @@ def _figures(rows: Sequence[Score]) -> dict[str, Any]:
         "unusable": compared.unusable,
     }
     for arm, own in arms.items():
-        usable = [row for row in own if row.outcome is not Outcome.UNUSABLE]
+        usable = [row for row in own if row.outcome.of_planner]
         intervals = {name: metric_interval(find_metric(name), usable) for name in METRICS}
         found[arm.value] = {"n": len(usable)} | {
             name: None if interval is None else _rounded(interval._asdict())

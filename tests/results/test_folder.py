@@ -213,8 +213,8 @@ def test_the_summary_counts_every_row() -> None:
 
 def test_outcome_rates_add_up_to_one() -> None:
     rows = [_row(outcome) for outcome in Outcome for _ in range(3)]
-    summary = summarise(rows, 18, {Arm.WITH_DOS: np.empty(0)})[Arm.WITH_DOS]
-    assert (summary["n"], summary["usable"]) == (18, 15)  # Of which each outcome is a fifth.
+    summary = summarise(rows, 21, {Arm.WITH_DOS: np.empty(0)})[Arm.WITH_DOS]
+    assert (summary["n"], summary["usable"]) == (21, 15)  # Of which each outcome is a fifth.
     assert summary["success_rate"] == summary["collision_rate"] == 0.2
     shares = ("success", "collision", "out_of_bounds", "goal_missed", "planner_failure")
     assert sum(summary[f"{name}_rate"] or 0.0 for name in shares) == pytest.approx(1.0)

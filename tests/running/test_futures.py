@@ -190,7 +190,7 @@ def test_traffic_of_one_future_is_refused_before_anything_is_driven(
 def test_traffic_that_does_not_keep_its_future_fails_by_name(scenes: Path, tmp_path: Path) -> None:
     config = _config(tmp_path / "out", scenes, traffic=f"{TRAFFIC}:ForgetfulTraffic")
     rows = read_rows(run_here(config).rows)
-    assert [row.outcome is Outcome.PLANNER_FAILURE for row in rows] == [
+    assert [row.outcome is Outcome.TRAFFIC_FAILURE for row in rows] == [
         future > 0 for _ in range(2) for _, future in KEYS
     ]
     assert "forgetful-v1 was told future 1 and keeps 0" in str(rows[1].error)

@@ -247,7 +247,7 @@ def test_a_run_of_which_nothing_is_usable_has_no_rates(
     assert "Nothing was driven." in (out / "report.html").read_text()
     for command, code in (("report", OK), ("compare", OK), ("score", OK)):
         assert main([command, str(out)]) == code
-    assert "left out as unusable: 6" in capsys.readouterr().out
+    assert "left out as unusable or failed by the traffic: 6" in capsys.readouterr().out
 
 
 def test_other_commands_know_what_to_do_with_them(
@@ -261,7 +261,8 @@ def test_other_commands_know_what_to_do_with_them(
     assert main(["score", run_path]) == OK
     assert "12 of them were never driven and are kept" in capsys.readouterr().out
     assert main(["compare", run_path, run_path, "--html", str(tmp_path / "page.html")]) == OK
-    assert "n = 2, places = 1; left out as unusable: 6" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "n = 2, places = 1; left out as unusable or failed by the traffic: 6" in shown
     assert main(["render", f"{run_path}:{twin}", "--out", str(tmp_path / "x.png")]) == BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert "nothing was driven of ZAM_Twin-1_1_T-1" in line

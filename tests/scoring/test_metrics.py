@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dosplan.scoring.metrics import METRICS, Aggregate, Better, Metric, find_metric, measured_kinds
-from dosplan.scoring.score import failed_score, unusable_score
+from dosplan.scoring.score import failed_score
 from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
 NO_TIMES = np.empty(0)
@@ -42,11 +42,11 @@ def test_an_episode_that_never_drove_is_a_failure_and_has_no_other_figure(metric
 
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)
-def test_what_is_unusable_has_no_figure(metric: Metric) -> None:
-    assert (
-        metric.value(unusable_score(EpisodeKey("s", Arm.WITH_DOS), "s.xml: has no lanelets"))
-        is None
-    )
+@pytest.mark.parametrize("outcome", [Outcome.UNUSABLE, Outcome.TRAFFIC_FAILURE])
+def test_what_no_planner_is_judged_by_has_no_figure(metric: Metric, outcome: Outcome) -> None:
+    assert metric.value(failed_score(EpisodeKey("s", Arm.WITH_DOS), "broken", outcome)) is None
+    driven = _row(outcome=outcome, safe=True, velocity=3.0, steps=5, goal_step=5)
+    assert metric.value(driven) is None
 
 
 @pytest.mark.parametrize("metric", METRICS, ids=lambda metric: metric.name)

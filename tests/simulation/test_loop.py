@@ -407,7 +407,7 @@ def test_a_traffic_that_cannot_be_closed_is_named_unless_something_failed_before
 
     scenario = straight_scenario()
     stuck = run_episode(scenario, CruisePlanner(), NonePredictor(), Arm.WITH_DOS, traffic=Stuck())
-    assert stuck.end is EpisodeEnd.PLANNER_FAILURE
+    assert stuck.end is EpisodeEnd.TRAFFIC_FAILURE
     assert str(stuck.error).startswith("traffic stuck-v1: OSError: still busy")
     both = run_episode(scenario, RaisingPlanner(), NonePredictor(), Arm.WITH_DOS, traffic=Stuck())
     assert str(both.error).startswith("planner ")

@@ -160,7 +160,7 @@ def test_traffic_that_raises_ends_the_episode_and_is_named() -> None:
         traffic=LostTraffic(),
         on_failure=caught.append,
     )
-    assert episode.end is EpisodeEnd.PLANNER_FAILURE
+    assert episode.end is EpisodeEnd.TRAFFIC_FAILURE
     assert (episode.error or "").startswith("traffic lost-v1: KeyError: 'way' (traffic.py:")
     assert len(episode.inputs) == 1
     assert episode.tracks.steps == 42

@@ -35,6 +35,7 @@ OUTCOME_WORDS: Final = {
     Outcome.OUT_OF_BOUNDS: "out of bounds",
     Outcome.COLLISION: "collision",
     Outcome.PLANNER_FAILURE: "planner failure",
+    Outcome.TRAFFIC_FAILURE: "traffic failure",
 }
 """The outcomes, best first."""
 
@@ -171,7 +172,7 @@ def _met(drive: Drive) -> SetsMet | None:
 
 def _why(row: Score, met: SetsMet | None, drive: Drive | None) -> str:
     """A line on the cause of the outcome, as far as row and recording show it."""
-    if row.outcome is Outcome.PLANNER_FAILURE:
+    if row.outcome in (Outcome.PLANNER_FAILURE, Outcome.TRAFFIC_FAILURE):
         return row.error or "no plan and no fallback"
     seconds = None if drive is None else drive.seconds(drive.decisive_step)
     when = "" if seconds is None else f" after {seconds:.1f} s"

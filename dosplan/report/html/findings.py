@@ -83,7 +83,9 @@ def answer(pairing: Pairing) -> str:
         return "Nothing was driven."
     if pairing.comparison is None:
         return f"Success {_name(last.name)} in {reached[-1]} of {len(last.rows)} {pairing.unit}."
-    success = pairing.comparison.differences["success"]
+    success = pairing.comparison.differences.get("success")
+    if success is None:
+        return "Nothing can be compared: the traffic failed."
     found = "No clear difference"
     if _beyond_chance(success):
         found = f"{'Better' if success.difference > 0.0 else 'Worse'} {_name(last.name)}"
@@ -105,7 +107,7 @@ def grounds(pairing: Pairing) -> list[str]:
     if not pairing.driven:
         return ["No scenario is usable."]
     sentences = []
-    if pairing.comparison is not None:
+    if pairing.comparison is not None and "success" in pairing.comparison.differences:
         metric, success = find_metric("success"), pairing.comparison.differences["success"]
         verdict = "more than chance brings about" if _beyond_chance(success) else "may be chance"
         sentences.append(

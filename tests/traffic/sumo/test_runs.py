@@ -89,7 +89,7 @@ def test_an_error_of_sumo_in_an_episode_is_its_row_and_the_next_one_is_driven(
     monkeypatch.setattr(libsumo, "simulationStep", failing)
     folder = run_here(_config(tmp_path / "run", "suite", ids=(ZEBRA,)))
     first, second = untimed(folder)
-    assert first["outcome"] == Outcome.PLANNER_FAILURE
+    assert first["outcome"] == Outcome.TRAFFIC_FAILURE
     assert first["steps"] == pytest.approx(20, abs=1)
     assert "traffic sumo-v1: SumoError: SUMO: the net is torn" in first["error"]
     assert second["error"] is None

@@ -142,12 +142,16 @@ class Planner(ABC):
         settings: The frozen dataclass of its options; the constructor takes an instance of it.
         look_ahead: Number of predicted steps that it needs; a predictor with a shorter horizon is
             refused. A planner whose settings decide on it assigns it in its constructor.
+        plan_steps: Number of steps that each of its plans lasts at least, assigned likewise; a loop
+            that drives further from one plan is refused before anything is driven. None where
+            it is not known: then an episode fails where a plan does not last.
         last_seconds: Wall-clock time of the last ``plan``, s.
     """
 
     name: ClassVar[str]
     settings: ClassVar[type[Any]] = NoSettings
     look_ahead: int = 1
+    plan_steps: int | None = None
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -187,7 +191,7 @@ class Planner(ABC):
 
         Raises:
             PluginError: The sets do not reach ``look_ahead`` steps ahead, or the plug-in returned
-                something that is not such a plan.
+                something that is not such a plan, or one of fewer than ``plan_steps`` steps.
         """
         if occupancy.horizon < self.look_ahead:
             raise PluginError(
@@ -208,6 +212,11 @@ class Planner(ABC):
             raise PluginError(
                 f"planner {self.name}: the plan starts {gap:.3g} away from the ego's state; "
                 "Plan.states[0] must be observation.ego"
+            )
+        if self.plan_steps is not None and len(plan.inputs) < self.plan_steps:
+            raise PluginError(
+                f"planner {self.name}: the plan holds {len(plan.inputs)} inputs, plan_steps says "
+                f"{self.plan_steps} or more; lower it, or plan further"
             )
         return plan
 

@@ -203,14 +203,21 @@ def make_plugins(config: RunConfig) -> Plugins:
     Raises:
         RegistryError: One of them cannot be built.
         RunError: The predictor does not predict as far as the planner looks ahead, or is shown a
-            recording that the traffic does not follow; or the traffic has one future, and
-            several are asked for.
+            recording that the traffic does not follow; or the loop drives further from a plan than
+            the planner plans; or the traffic has one future, and several are asked for.
     """
     planner = create_planner(config.planner, config.seed, config.planner_options)
     predictor = create_predictor(
         config.predictor, config.seed, config.predictor_options, config.chosen_loop
     )
-    late = config.chosen_loop.latency_steps
+    loop = config.chosen_loop
+    period, late = loop.period_steps, loop.latency_steps
+    if planner.plan_steps is not None and planner.plan_steps < period + late:
+        raise RunError(
+            f"planner {planner.name} plans {planner.plan_steps} steps, the loop drives "
+            f"{period + late} from the first plan (period {loop.period:g} s, latency "
+            f"{loop.latency:g} s); lower loop.period or loop.latency, or plan further"
+        )
     if predictor.horizon < planner.look_ahead + late:
         lost = f", of which the loop's latency takes {late}" if late else ""
         raise RunError(

@@ -7,7 +7,7 @@ from typing import Any
 from dosplan.api import NoSettings, Planner
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
 from dosplan.vehicle import VehicleParameters
-from dosplan_baseline.tracking import PathFollower, extended_path
+from dosplan_baseline.tracking import PLAN_STEPS, PathFollower, extended_path
 
 
 class ConstantAccelerationPlanner(Planner):
@@ -18,6 +18,7 @@ class ConstantAccelerationPlanner(Planner):
     """
 
     acceleration: float = 0.0
+    plan_steps = PLAN_STEPS
 
     def __init__(self, *, seed: int = 0, settings: Any = NoSettings()) -> None:
         """Makes the planner; an episode begins with ``reset``.

@@ -33,7 +33,7 @@ from dosplan.types import (
     SolveReport,
 )
 from dosplan.vehicle import VehicleParameters
-from dosplan_baseline.tracking import PathFollower, bend_speed, extended_path
+from dosplan_baseline.tracking import PLAN_STEPS, PathFollower, bend_speed, extended_path
 
 _UNLIMITED = 100.0  # m/s; stands for no speed limit.
 
@@ -296,6 +296,7 @@ class IdmPlanner(Planner):
 
     name = "idm-v2"
     settings = IdmSettings
+    plan_steps = PLAN_STEPS
 
     def __init__(self, *, seed: int = 0, settings: IdmSettings = IdmSettings()) -> None:
         """Keeps the settings.

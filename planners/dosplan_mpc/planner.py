@@ -27,7 +27,7 @@ class MpcPlanner(Planner):
         """
         super().__init__(seed=seed, settings=settings)
         self.config = settings
-        self.look_ahead = settings.horizon
+        self.look_ahead = self.plan_steps = settings.horizon
         self._episode: MpcEpisode | None = None
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:

@@ -87,6 +87,10 @@ class PlansNan(GoodPlanner):
         return plan_of(observation, np.full((10, 2), np.nan))
 
 
+class PlansTooShort(GoodPlanner):
+    plan_steps = 11
+
+
 class Dice(GoodPlanner):
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
         return plan_of(observation, np.random.default_rng().normal(0.0, 0.1, (10, 2)))
@@ -172,6 +176,7 @@ BAD_PLANNERS = [
     (ReturnsNothing, "plans", "compute_plan returned NoneType, not a Plan"),
     (StartsElsewhere, "plans", "the plan starts 0.1 away"),
     (PlansNan, "plans", "Plan.inputs holds a NaN"),
+    (PlansTooShort, "plans", "the plan holds 10 inputs, plan_steps says 11 or more; lower it"),
     (Dice, "deterministic", "two instances with the same seed differ in Plan.inputs"),
     (Rememberer, "reset_forgets", "prepare() must clear"),
     (Writer, "plans", "copy the array before you write to it"),

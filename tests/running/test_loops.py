@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -95,6 +96,23 @@ def test_sets_that_do_not_reach_far_enough_are_refused_at_once(
     told = "looks 30 steps ahead, .* predicts 40, of which the loop's latency takes 11; raise"
     with pytest.raises(RunError, match=told):
         run_here(config)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("loop", "told"),
+    [
+        ({"period": 3.1}, r"plans 30 steps, the loop drives 31 from the first plan \(period 3.1 s"),
+        ({"period": 2.5, "latency": 0.6}, r".*drives 31 .*latency 0.6 s\); lower loop.period or"),
+    ],
+)
+@pytest.mark.parametrize("planner", ["mpc", "idm", "cruise", "brake"])
+def test_a_loop_that_plans_do_not_last_for_is_refused_at_once(
+    planner: str, loop: dict[str, float], told: str, scenes: Path, tmp_path: Path
+) -> None:
+    config = configured(tmp_path / "out", scenes, loop_options=loop, **VELOCITY)
+    with pytest.raises(RunError, match=f"planner {planner}-v. {told}"):
+        run_here(replace(config, planner=planner))
     assert not (tmp_path / "out").exists()
 
 

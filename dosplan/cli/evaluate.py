@@ -30,19 +30,31 @@ examples:
   dosplan evaluate my/scenarios --methods predictors/simple.yaml --scale-on my/validation
   dosplan evaluate my/scenarios --predictor dos --loop realistic --set loop.latency=0.5
   dosplan evaluate suite --predictor dos --traffic reactive --futures 20
+  dosplan evaluate results/my-run
 """
 
 
 class EvaluateCommand:
-    """Measures predictors on recordings, open loop."""
+    """Measures predictors on recordings, open loop, or the sets of a run on its drives."""
 
-    summary = "measure how well predictors' sets hold the recorded future"
+    summary = "measure how well predictors' sets hold the recorded future, or that of a run"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declares the arguments."""
         parser.epilog = _EXAMPLES
         add_json(parser)
-        parser.add_argument("source", metavar="SOURCE", help=SOURCE_HELP)
+        parser.add_argument(
+            "source",
+            metavar="SOURCE",
+            help=f"{SOURCE_HELP}; or a run folder: how often road users near the ego left the sets "
+            "that its planner had, and by how much",
+        )
+        parser.add_argument(
+            "--source",
+            dest="scenarios",
+            metavar="SOURCE",
+            help="for a run folder: where its scenarios lie now (default: where it found them)",
+        )
         parser.add_argument(
             "--methods",
             type=Path,
@@ -102,7 +114,7 @@ class EvaluateCommand:
             MethodError: A method cannot be built.
             RegistryError: There is no such traffic.
             ScenarioError: There are no scenarios.
-            FileError: A file cannot be written.
+            FileError: A file cannot be written, or a run folder cannot be read.
         """
         from dosplan.evaluation.methods import Method, read_methods
         from dosplan.report.evaluation import evaluation_markdown, evaluation_tables
@@ -111,7 +123,11 @@ class EvaluateCommand:
 
         listed = [method for path in options.methods for method in read_methods(path)]
         methods = (*listed, *(Method(name, name) for name in options.predictors))
-        measure = _over_recordings if options.futures is None else _over_futures
+        if (Path(options.source) / "run.json").is_file():
+            measure = _over_drives
+        else:
+            _refuse(options, ("scenarios",), "goes with a run folder only")
+            measure = _over_recordings if options.futures is None else _over_futures
         with show_progress(console(stderr=True), "files") as progress:
             figures = measure(options, methods, progress)
         for failure in figures["data"]["failed"]:
@@ -141,6 +157,18 @@ def _over_recordings(
     return evaluate(config, progress)
 
 
+def _over_drives(
+    options: argparse.Namespace, methods: tuple[Method, ...], progress: Progress
+) -> dict[str, Any]:
+    from dosplan.evaluation.tails import evaluate_drives
+
+    others = ("every", "scale_on", "loop", "settings", "futures", "traffic", "level")
+    _refuse(options, others, "does not go with a run folder: its sets are those it was driven with")
+    if methods:
+        raise CommandError("a run folder is measured with the sets that it was driven with")
+    return evaluate_drives(Path(options.source), options.scenarios, progress)
+
+
 def _over_futures(
     options: argparse.Namespace, methods: tuple[Method, ...], progress: Progress
 ) -> dict[str, Any]:
@@ -165,5 +193,6 @@ def _over_futures(
 def _refuse(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
     for name in names:
         if getattr(options, name) is not None:
-            option = "set" if name == "settings" else name.replace("_", "-")
+            renamed = {"settings": "set", "scenarios": "source"}
+            option = renamed.get(name, name.replace("_", "-"))
             raise CommandError(f"--{option} {why}")

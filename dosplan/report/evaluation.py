@@ -11,6 +11,7 @@ from dosplan.evaluation.groups import LIGHTS, NO_LIGHT, SPEED_BINS
 from dosplan.evaluation.metrics import PAPER_AREAS
 from dosplan.report.tables import table
 from dosplan.results.markdown import markdown
+from dosplan.types import ScenarioFuture
 
 Block = tuple[str, list[str], list[list[str]]]
 Row = Mapping[str, Any]
@@ -22,12 +23,12 @@ def evaluation_tables(figures: Mapping[str, Any]) -> RenderableType:
     """Lays an evaluation out for the terminal.
 
     Args:
-        figures: What ``evaluate`` or ``evaluate_futures`` returned.
+        figures: What ``evaluate``, ``evaluate_futures`` or ``evaluate_drives`` returned.
 
     Returns:
         What it was measured on; sets of all and of moving road users; coverage by area, by speed
-        and by the light ahead; trajectories; upper limits; or coverage over futures. Further groups
-        are in the figures alone.
+        and by the light ahead; trajectories; upper limits; or coverage over futures; or who left
+        the sets of a run. Further groups are in the figures alone.
     """
     parts: list[RenderableType] = [_on(figures["data"])]
     for title, headings, rows in _blocks(figures):
@@ -39,7 +40,7 @@ def evaluation_markdown(figures: Mapping[str, Any]) -> str:
     """Writes the same tables as Markdown.
 
     Args:
-        figures: What ``evaluate`` or ``evaluate_futures`` returned.
+        figures: What ``evaluate``, ``evaluate_futures`` or ``evaluate_drives`` returned.
 
     Returns:
         The text.
@@ -51,6 +52,12 @@ def evaluation_markdown(figures: Mapping[str, Any]) -> str:
 
 
 def _on(data: Row) -> str:
+    if "drives" in data:
+        return (
+            f"{data['drives']} drives of {data['planner']} with the sets of {data['predictor']} in "
+            f"{data['run']}, traffic {data['traffic']}, loop {data['loop']}; near is within "
+            f"{data['near_m']:g} m of the ego at the step that is compared"
+        )
     if "futures" in data:
         return (
             f"{data['pasts']} road users at the start of {data['evaluated']} scenarios of "
@@ -69,6 +76,9 @@ def _on(data: Row) -> str:
 
 def _blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
     """The tables: title, headings, cells."""
+    if "tails" in figures:
+        yield from _drive_blocks(figures)
+        return
     if "futures" in figures:
         yield from _future_blocks(figures)
         return
@@ -187,6 +197,64 @@ def _future_blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
                 for method, part in found.items()
             ],
         )
+
+
+def _drive_blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
+    """Who left the sets of a run, the episodes in which nobody did, and who was struck."""
+    for group, rows in _by(figures["tails"], "group").items():
+        yield (
+            f"Sets that did not hold, {group[0]}",
+            [
+                "After",
+                "Sets",
+                "Road users",
+                "Left, %",
+                "Distance, 50 / 90 / 99 %",
+                "of those that left",
+                "beyond the set, m",
+            ],
+            [
+                [
+                    f"{row['ahead_s']:g} s",
+                    str(row["n"]),
+                    str(row["road_users"]),
+                    _percent(row["outside"]),
+                    *(
+                        " / ".join(_number(value) for value in row[name].values())
+                        for name in ("distance", "distance_outside", "beyond_m")
+                    ),
+                ]
+                for row in rows
+            ],
+        )
+    yield (
+        "Episodes in which nobody near left a set (95 % interval)",
+        ["After", "Episodes", "Held, %"],
+        [
+            [
+                "all of these" if row["ahead_s"] is None else f"{row['ahead_s']:g} s",
+                str(row["n"]),
+                f"{_percent(row['held'])} ({_percent(row['low'])} to {_percent(row['high'])})",
+            ]
+            for row in figures["episodes"]
+        ],
+    )
+    struck = figures["struck"]
+    known = [row["inside"] for row in struck if row["inside"] is not None]
+    yield (
+        f"Road users that were struck: {sum(known)} of {len(known)} inside the set of half a "
+        f"second before ({len(struck) - len(known)} more had none)",
+        ["Scenario", "Road user", "At fault", "Distance"],
+        [
+            [
+                ScenarioFuture(row["scenario"], row["future"]).title,
+                str(row["road_user"]),
+                "yes" if row["at_fault"] else "no",
+                _number(row["distance"]),
+            ]
+            for row in struck
+        ],
+    )
 
 
 def _by(rows: Sequence[Row], *keys: str) -> dict[tuple[str, ...], list[Row]]:

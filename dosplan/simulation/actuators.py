@@ -13,8 +13,12 @@ class Actuators:
     """Turns inputs that are asked for into those that are applied.
 
     Attributes:
+        lag: Whether any of them lags.
         at_rest: (2,) their output when an episode begins: the wheels are not turning and the ego
             keeps its velocity.
+        left: (2,) share of a difference between output and what is asked for that is left after
+            a step.
+        mean: (2,) share of it that is left in the mean over the step.
     """
 
     at_rest: FloatArray = np.zeros(2)
@@ -29,11 +33,10 @@ class Actuators:
         """
         self._vehicle, self._dt = vehicle, dt
         lags = np.array([settings.steering, settings.acceleration])
-        self._lags = lags if lags.any() else None
+        self.lag = bool(lags.any())
         steps = dt / np.where(lags > 0.0, lags, 1.0)
-        self._left = np.where(lags > 0.0, np.exp(-steps), 0.0)
-        # Of the difference at a step's begin, its mean over the step.
-        self._mean = np.where(lags > 0.0, -np.expm1(-steps) / steps, 0.0)
+        self.left = np.where(lags > 0.0, np.exp(-steps), 0.0)
+        self.mean = np.where(lags > 0.0, -np.expm1(-steps) / steps, 0.0)
 
     def follow(
         self, ego: FloatArray, wanted: FloatArray, output: FloatArray
@@ -53,8 +56,8 @@ class Actuators:
             step's end.
         """
         asked = self._vehicle.clip_input(ego, wanted, self._dt)
-        if self._lags is None:
+        if not self.lag:
             return asked, output
         behind = output - asked
-        applied = self._vehicle.clip_input(ego, asked + self._mean * behind, self._dt)
-        return applied, asked + self._left * behind
+        applied = self._vehicle.clip_input(ego, asked + self.mean * behind, self._dt)
+        return applied, asked + self.left * behind

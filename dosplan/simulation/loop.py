@@ -1,8 +1,9 @@
 """One closed-loop episode: observe, predict, plan, drive a step, again.
 
 The ego moves by the vehicle model, the other road users by the traffic. At each step the
-planner's next input is cut to what the actuators can deliver and held for one step. How often
-the ego plans, how late its plans act and what it sees is the loop's (``LoopSettings``).
+planner's next input is cut to what the actuators can deliver and held for one step; where they
+lag, a controller follows the plan's states instead (``tracking``). How often the ego plans, how
+late its plans act and what it sees is the loop's (``LoopSettings``).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from dosplan.api import OraclePredictor, Planner, PluginError, Predictor
 from dosplan.geometry.goal import goal_reached
 from dosplan.simulation.settings import IDEAL, LoopSettings, loop_name
+from dosplan.simulation.tracking import Command
 from dosplan.simulation.traffic import Replay, Traffic, empty_tracks
 from dosplan.simulation.world import World
 from dosplan.system.errors import failure_place, one_line
@@ -85,7 +87,7 @@ def run_episode(
 
     In a loop with a latency, a plan is made of what was seen at a step and acts from a later one
     on; the plan before acts until then. The planner gets the ego's state at that later step, which
-    follows from the inputs that are on their way. The first plan acts at once: the ego is under
+    follows from the commands that are on their way. The first plan acts at once: the ego is under
     way when the episode begins, and nothing that was seen before is known.
 
     Args:
@@ -199,7 +201,7 @@ def _drive(
         planner.reset(task, scenario.road_map, task.vehicle)
 
     period, latency = loop.period_steps, loop.latency_steps
-    coming: list[FloatArray] = []  # Inputs from now on, as the plans so far have it.
+    coming: list[Command] = []  # Commands from now on, as the plans so far have it.
     look = world.now  # Step of the next observation.
     while True:
         state = world.ego
@@ -216,17 +218,17 @@ def _drive(
             until = coming[: delay + busy]
             with _named_failure("planner", planner):
                 _check_lasting(until, cycle, busy, min(look - world.now + latency, left))
-            coming = [*until, *cycle.plan.inputs[busy:]]
+            coming = [*until, *world.commands(cycle.plan)[busy:]]
             log.append(cycle)
         with _named_failure("traffic", world.traffic):
-            world.step(coming.pop(0))
+            world.drive(coming.pop(0))
 
 
-def _check_lasting(until: Sequence[FloatArray], cycle: _Cycle, busy: int, steps: int) -> None:
+def _check_lasting(until: Sequence[Command], cycle: _Cycle, busy: int, steps: int) -> None:
     """Refuses a plan that comes after the last one's end, or ends before the next one acts.
 
     Args:
-        until: Inputs that are driven before the plan.
+        until: Commands that are driven before the plan.
         cycle: The plan.
         busy: Steps that were lost while it was made.
         steps: Steps from now on that have to be driven, until the next plan acts.
@@ -247,7 +249,7 @@ def _check_lasting(until: Sequence[FloatArray], cycle: _Cycle, busy: int, steps:
 
 def _cycle(
     world: World,
-    on_their_way: Sequence[FloatArray],
+    on_their_way: Sequence[Command],
     latency: int,
     planner: Planner,
     predictor: Predictor,
@@ -257,7 +259,7 @@ def _cycle(
 
     Args:
         world: The world now.
-        on_their_way: Inputs that act before the plan does.
+        on_their_way: Commands that act before the plan does.
         latency: Steps of the loop's latency; the sets reach less far ahead by it in every cycle,
             that of the first plan, which acts at once, included.
         planner: The planner.

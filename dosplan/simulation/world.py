@@ -15,6 +15,7 @@ from dosplan.api import PluginError
 from dosplan.simulation.actuators import Actuators
 from dosplan.simulation.sensing import Sensors
 from dosplan.simulation.settings import IDEAL, LoopSettings
+from dosplan.simulation.tracking import Command, Tracker
 from dosplan.simulation.traffic import Replay, RoadUsers, Traffic, users_at
 from dosplan.types import (
     COLOURS,
@@ -27,6 +28,7 @@ from dosplan.types import (
     IntArray,
     LightStates,
     Observation,
+    Plan,
     RoadUserKind,
     Scenario,
     Signals,
@@ -67,6 +69,7 @@ class World:
         self._history = history
         vehicle, dt = scenario.task.vehicle, scenario.dt
         self._actuators = Actuators(loop.actuators, vehicle, dt)
+        self._tracker = Tracker(self._actuators, vehicle, dt)
         self._output = self._actuators.at_rest
         self._states: list[FloatArray] = [np.array(scenario.task.start)]
         self._inputs: list[FloatArray] = []
@@ -205,18 +208,34 @@ class World:
         if self._sensors is not None:
             self._sensors.look(self.now, vehicle.centre(self.ego), users)
 
-    def foresee(self, inputs: Sequence[FloatArray]) -> FloatArray:
-        """Where the ego gets by inputs that are on their way to the actuators.
+    def commands(self, plan: Plan) -> list[Command]:
+        """What the actuators are to be asked for at each step of a plan."""
+        return self._tracker.commands(plan)
+
+    def drive(self, command: Command) -> None:
+        """Drives one step, as ``step`` does.
 
         Args:
-            inputs: S inputs, as ``step`` takes them.
+            command: What the actuators are asked for.
+
+        Raises:
+            PluginError: The traffic broke its contract.
+        """
+        self.step(command.wanted(self.ego, self._output))
+
+    def foresee(self, commands: Sequence[Command]) -> FloatArray:
+        """Where the ego gets by commands that are on their way to the actuators.
+
+        Args:
+            commands: S commands.
 
         Returns:
             (S + 1, 5) ego states from now on, the same to the last bit as when they are driven.
         """
         vehicle, dt = self.scenario.task.vehicle, self.scenario.dt
         states, output = [self.ego], self._output
-        for wanted in inputs:
+        for command in commands:
+            wanted = command.wanted(states[-1], output)
             applied, output = self._actuators.follow(states[-1], wanted, output)
             states.append(vehicle.step(states[-1], applied, dt))
         return np.stack(states)

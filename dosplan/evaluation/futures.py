@@ -34,7 +34,7 @@ from dosplan.evaluation.methods import Method, build, check_labels, settings
 from dosplan.evaluation.metrics import COVERAGE, clustered_ratio, covered
 from dosplan.evaluation.samples import PredictionError, prediction_failure
 from dosplan.evaluation.windows import HORIZON_COLUMNS, HORIZONS, STEPS
-from dosplan.geometry import LightIndex, ReferencePath, mahalanobis
+from dosplan.geometry import LightIndex, ReferencePath, set_distance
 from dosplan.plugins.registry import PluginKind, choose_plugin, create_traffic, record
 from dosplan.scenario import ScenarioError, ScenarioRef, load_scenario
 from dosplan.simulation.traffic import RoadUsers, Traffic
@@ -391,8 +391,5 @@ def _held(
         occupancy = predictor.predict(observation)
     except (Exception, SystemExit) as error:
         raise prediction_failure(label, predictor, error) from error
-    part = np.ix_(rows, np.array(HORIZON_COLUMNS))
-    distance = mahalanobis(
-        truth, occupancy.centre[part], occupancy.semi_axes[part], occupancy.angle[part]
-    )
-    return np.asarray(covered(distance) & occupancy.valid[part])
+    sets = occupancy.of_users(rows).of_steps(np.array(HORIZON_COLUMNS))
+    return covered(set_distance(truth, sets))

@@ -10,6 +10,9 @@ Derivation: with (u, v) the error along and across the angle, the ellipse touche
 pi (u^2 / rho + rho v^2). That is convex in rho > 0 with its minimum, 2 pi |u v|, at |u / v|; within
 the bounds the minimum is at |u / v| cut to them. With the angle free as well, pi e^2 (cos^2 / rho
 + rho sin^2) >= pi e^2 / R, reached where the long axis points at the truth.
+
+Of a prediction of several positions, as the components of a union have them, the smallest set that
+touches the truth is around one of them: its area is the smallest of theirs.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ import numpy as np
 from dosplan.types import FloatArray
 
 MAX_RATIO: Final = 4.0
+BEST_OF: Final = 3  # Of up to so many positions, the most likely ones first, limits are given.
 REPRESENTATIONS: Final = ("circle", "theta=0", "theta=pi/4", "v1", "v2", "free")
 
 

@@ -19,6 +19,8 @@ from dosplan.types import BoolArray, FloatArray, IntArray
 COVERAGE: Final = 0.9  # What the sets of OSA@90 cover.
 PAPER_AREAS: Final = (2.46, 5.83, 9.15, 13.36)
 """Mean area, m2, of the paper's own sets at 1, 2, 3, 4 s (its Table 1)."""
+AREA_SCALES: Final = tuple(2.0 ** (k / 2.0) for k in range(-4, 5))
+"""Factors on the semi-axes at which the areas of unions are kept."""
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -137,32 +139,58 @@ def covering_scale(distance: Floats, coverage: float = COVERAGE) -> float | None
     return factor if np.isfinite(factor) else None
 
 
-def scaled_area(area: float | None, scale: float | None) -> float | None:
+def scaled_area(
+    area: float | None, scale: float | None, shape: Floats | None = None
+) -> float | None:
     """Mean area of sets whose semi-axes are multiplied by a factor: OSA@90.
+
+    The area of an ellipse grows with the square of the factor, that of a union by less, since its
+    components come to have more in common.
 
     Args:
         area: Mean area as predicted, m2.
         scale: The factor of ``covering_scale``.
+        shape: (9,) mean area at each of ``AREA_SCALES`` over the factor's square, m2; None where
+            every set is one ellipse. Between them, areas and factors are taken to be straight in
+            their logarithms.
 
     Returns:
         m2; None where either is missing or the sets have no area.
     """
-    return None if scale is None or not area else area * scale**2
+    if scale is None or not area:
+        return None
+    if shape is None or scale == 0.0:
+        return area * scale**2
+    return float(np.exp(np.interp(np.log(scale), *_growth(shape))))
 
 
-def coverage_at_area(distance: Floats, area: float | None, wanted: float) -> float | None:
+def coverage_at_area(
+    distance: Floats, area: float | None, wanted: float, shape: Floats | None = None
+) -> float | None:
     """Share that sets cover when one factor on their semi-axes gives them a wanted mean area.
 
-    The factor, sqrt(wanted / area), depends on the sets alone, not on the truth.
+    The factor, sqrt(wanted / area) for ellipses, depends on the sets alone, not on the truth.
 
     Args:
         distance: (W,) Mahalanobis distances to the sets as predicted.
         area: Their mean area, m2.
         wanted: The mean area they shall have, m2.
+        shape: As for ``scaled_area``.
 
     Returns:
         The share; None where there are no windows or the sets have no area.
     """
     if not len(distance) or not area:
         return None
-    return float(np.mean(distance <= np.float32(np.sqrt(wanted / area))))
+    scale = np.sqrt(wanted / area)
+    if shape is not None:
+        logs, log_areas = _growth(shape)
+        scale = np.exp(np.interp(np.log(wanted), log_areas, logs))
+    return float(np.mean(distance <= np.float32(scale)))
+
+
+def _growth(shape: Floats) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of factors and of the mean areas they give; beyond the ends as for ellipses."""
+    logs = np.log(AREA_SCALES)
+    far = np.array([-20.0, *logs, 20.0])
+    return far, np.log(np.pad(shape, 1, mode="edge").astype(np.float64)) + 2.0 * far

@@ -1,8 +1,9 @@
 """What is kept of each window: the few numbers from which all figures are computed.
 
-A window costs 37 bytes per method and some 130 per trajectory, so that 30 methods on 100 000
-windows stay well below a gigabyte. Methods that stand on the same trajectories share them: they
-are recognised by the predicted centres, whatever the methods are called.
+A window costs 37 bytes per method (144 more where sets are unions) and some 170 per trajectory, so
+that 30 methods on 100 000 windows stay well below a gigabyte. Methods that stand on the same
+trajectories share them: they are recognised by the predicted centres, whatever the methods are
+called.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ import numpy.typing as npt
 
 from dosplan.api import OraclePredictor, Predictor
 from dosplan.evaluation.groups import KINDS, MOVING, family_of, lights_of
-from dosplan.evaluation.limits import REPRESENTATIONS, upper_limits
-from dosplan.evaluation.metrics import displacement
+from dosplan.evaluation.limits import BEST_OF, REPRESENTATIONS, upper_limits
+from dosplan.evaluation.metrics import AREA_SCALES, displacement
 from dosplan.evaluation.windows import HORIZON_COLUMNS, STEPS, Moment, moments
-from dosplan.geometry import LightIndex, ellipse_area, mahalanobis
+from dosplan.geometry import LightIndex, set_area, set_distance
 from dosplan.simulation.settings import IDEAL, LoopSettings
 from dosplan.system.errors import DosplanError, failure_place, one_line
 from dosplan.types import (
@@ -53,11 +54,14 @@ class SetSamples:
         distance: (W, 4) Mahalanobis distance of the true centre at 1, 2, 3, 4 s.
         area: (W, 4) area of the sets there, m2.
         furthest: (W,) largest distance over all recorded steps up to 4 s.
+        shape: (W, 4, 9) area of the sets scaled by each of ``metrics.AREA_SCALES``, over the
+            factor's square, m2; None where every set is one ellipse.
     """
 
     distance: Float32Array
     area: Float32Array
     furthest: Float32Array
+    shape: Float32Array | None = None
 
 
 @dataclass(frozen=True)
@@ -65,15 +69,22 @@ class TrajectorySamples:
     """Predicted centres against the truth, in W windows; NaN where either is missing.
 
     Attributes:
-        error: (W, 4) displacement at 1, 2, 3, 4 s, m.
-        total: (W,) sum of the displacements over all steps that are recorded and predicted, m.
+        error: (W, 4) displacement at 1, 2, 3, 4 s, m, of the most likely component.
+        total: (W,) sum of its displacements over all steps that are recorded and predicted, m.
         count: (W,) number of these steps.
-        limits: (W, 4, 6) areas of the smallest sets that touch the truth, m2, see ``limits``.
+        best_error: (W, 4) the same of the component that is best at each of these times, m.
+        best_total: (W,) the smallest such sum of any component, m.
+        components: (W,) number of components.
+        limits: (W, 4, 6, K) areas of the smallest sets that touch the truth, m2, see ``limits``:
+            the best of the 1 .. K most likely components, K <= 3.
     """
 
     error: Float32Array
     total: FloatArray
     count: IntArray
+    best_error: Float32Array
+    best_total: FloatArray
+    components: IntArray
     limits: Float32Array
 
 
@@ -178,9 +189,7 @@ def _when_it_acts(occupancy: Occupancy, late: int) -> Occupancy:
         return occupancy
     column = np.minimum(np.arange(STEPS), occupancy.horizon - 1)
     valid = occupancy.valid[:, column] & (np.arange(STEPS) < occupancy.horizon)
-    parts = ("centre", "semi_axes", "angle", "heading")
-    repeated = {name: getattr(occupancy, name)[:, column] for name in parts}
-    return replace(occupancy, valid=valid, **repeated)
+    return replace(occupancy.of_steps(column), valid=valid)
 
 
 class _MethodLog:
@@ -188,70 +197,124 @@ class _MethodLog:
 
     def __init__(self) -> None:
         self.digest = blake2b(digest_size=16)
-        self._sets: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-        self._trajectories: list[tuple[FloatArray, FloatArray, IntArray, FloatArray]] = []
+        self._sets: list[SetSamples] = []
+        self._trajectories: list[TrajectorySamples] = []
 
     def add(self, moment: Moment, occupancy: Occupancy) -> None:
-        rows, truth = moment.rows, moment.truth[..., [USER_X, USER_Y]]
-        predicted = occupancy.valid[rows, :STEPS]
-        centre = np.where(predicted[..., None], occupancy.centre[rows, :STEPS], np.nan)
-        self.digest.update(centre.tobytes())
-        self._sets.append(_against_sets(moment, truth, centre, predicted, occupancy))
-        self._trajectories.append(_against_centres(moment, truth, centre, occupancy))
+        sets = occupancy.of_users(moment.rows).first_steps(STEPS)
+        truth = moment.truth[..., [USER_X, USER_Y]]
+        centre, heading = _most_likely_first(sets)
+        self.digest.update(np.moveaxis(centre, 1, 0).tobytes())
+        self._sets.append(_against_sets(moment, truth, sets))
+        self._trajectories.append(_against_centres(moment, truth, centre, heading))
 
     def sets(self) -> SetSamples:
-        distance, area, furthest = zip(*self._sets, strict=True) if self._sets else ((), (), ())
-        h = len(HORIZON_COLUMNS)
-        return SetSamples(
-            distance=_joined(distance, np.float32, h),
-            area=_joined(area, np.float32, h),
-            furthest=_joined(furthest, np.float32),
-        )
+        return join_sets(self._sets)
 
     def trajectories(self) -> TrajectorySamples:
-        parts = self._trajectories
-        error, total, count, limits = zip(*parts, strict=True) if parts else ((), (), (), ())
-        h = len(HORIZON_COLUMNS)
-        return TrajectorySamples(
-            error=_joined(error, np.float32, h),
-            total=_joined(total, np.float64),
-            count=_joined(count, np.int64),
-            limits=_joined(limits, np.float32, h, len(REPRESENTATIONS)),
-        )
+        return join_trajectories(self._trajectories)
 
 
-def _against_sets(
-    moment: Moment,
-    truth: FloatArray,
-    centre: FloatArray,
-    predicted: BoolArray,
-    occupancy: Occupancy,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(W, 4) distances and areas at the horizons, (W,) largest distance."""
-    rows, columns = moment.rows, np.array(HORIZON_COLUMNS)
-    semi_axes = np.where(predicted[..., None], occupancy.semi_axes[rows, :STEPS], 0.0)
-    angle = np.where(predicted, occupancy.angle[rows, :STEPS], 0.0)
-    distance = mahalanobis(truth, centre, semi_axes, angle)
-    distance[moment.recorded & ~predicted] = np.inf
-    furthest = np.max(distance, axis=1, initial=0.0, where=moment.recorded)
-    return distance[:, columns], ellipse_area(semi_axes)[:, columns], furthest
+def join_sets(parts: Sequence[SetSamples]) -> SetSamples:
+    """Puts samples of one method end to end.
+
+    Args:
+        parts: The samples.
+
+    Returns:
+        All of them; without windows where there are no parts.
+    """
+    h, shapes = len(HORIZON_COLUMNS), None
+    if any(part.shape is not None for part in parts):
+        one = np.ones(len(AREA_SCALES), dtype=np.float32)
+        each = [part.area[..., None] * one if part.shape is None else part.shape for part in parts]
+        shapes = _joined(each, np.float32, h, len(AREA_SCALES))
+    return SetSamples(
+        distance=_joined([part.distance for part in parts], np.float32, h),
+        area=_joined([part.area for part in parts], np.float32, h),
+        furthest=_joined([part.furthest for part in parts], np.float32),
+        shape=shapes,
+    )
+
+
+def join_trajectories(parts: Sequence[TrajectorySamples]) -> TrajectorySamples:
+    """Puts samples of the same trajectories end to end.
+
+    Args:
+        parts: The samples.
+
+    Returns:
+        All of them; without windows where there are no parts.
+    """
+    h, shapes = len(HORIZON_COLUMNS), len(REPRESENTATIONS)
+    best_of = max((part.limits.shape[-1] for part in parts), default=1)
+    missing = [(0, 0)] * 3  # The best of 3 of two components is the best of these two.
+    limits = [
+        np.pad(part.limits, [*missing, (0, best_of - part.limits.shape[-1])], mode="edge")
+        for part in parts
+    ]
+    return TrajectorySamples(
+        error=_joined([part.error for part in parts], np.float32, h),
+        total=_joined([part.total for part in parts], np.float64),
+        count=_joined([part.count for part in parts], np.int64),
+        best_error=_joined([part.best_error for part in parts], np.float32, h),
+        best_total=_joined([part.best_total for part in parts], np.float64),
+        components=_joined([part.components for part in parts], np.int64),
+        limits=_joined(limits, np.float32, h, shapes, best_of),
+    )
+
+
+def _against_sets(moment: Moment, truth: FloatArray, sets: Occupancy) -> SetSamples:
+    columns = np.array(HORIZON_COLUMNS)
+    distance = set_distance(truth, sets)
+    known = sets.of_steps(columns)
+    shape = None
+    if sets.union is not None:
+        areas = [set_area(known, scale) / scale**2 for scale in AREA_SCALES]
+        shape = np.stack(areas, axis=-1).astype(np.float32)
+    return SetSamples(
+        distance=distance[:, columns].astype(np.float32),
+        area=set_area(known).astype(np.float32),
+        furthest=np.max(distance, axis=1, initial=0.0, where=moment.recorded).astype(np.float32),
+        shape=shape,
+    )
+
+
+def _most_likely_first(sets: Occupancy) -> tuple[FloatArray, FloatArray]:
+    """(W, M, T, 2) centres, NaN where there is none, and (W, M, T) headings of the components."""
+    union = sets.components
+    order = np.argsort(-union.weight, axis=1, kind="stable")
+    row = np.arange(len(order))[:, None]
+    known = union.present[row, order][:, :, None] & sets.valid[:, None]
+    centre = np.where(known[..., None], union.centre[row, order], np.nan)
+    return centre, union.heading[row, order]
 
 
 def _against_centres(
-    moment: Moment, truth: FloatArray, centre: FloatArray, occupancy: Occupancy
-) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
-    """(W, 4) errors at the horizons, (W,) sums and counts, (W, 4, 6) upper limits."""
+    moment: Moment, truth: FloatArray, centre: FloatArray, heading: FloatArray
+) -> TrajectorySamples:
     rows, columns = moment.rows, np.array(HORIZON_COLUMNS)
-    error = displacement(centre, truth)
+    error = displacement(centre, truth[:, None])
     known = np.isfinite(error)
-    heading = moment.observation.states[rows, -1, USER_HEADING, None]
+    total, count = np.where(known, error, 0.0).sum(axis=-1), known.sum(axis=-1)
+    best_total = np.where(count == count[:, :1], total, np.inf).min(axis=1)
+    now = moment.observation.states[rows, -1, USER_HEADING]
+    likely = slice(BEST_OF)
     limits = upper_limits(
-        (truth - centre)[:, columns],
-        heading,
-        _motion(moment.observation)[rows, None],
-        occupancy.heading[np.ix_(rows, columns)],
+        (truth[:, None] - centre)[:, likely, columns],
+        now[:, None, None],
+        _motion(moment.observation)[rows, None, None],
+        heading[:, likely, columns],
     )
-    return error[:, columns], np.where(known, error, 0.0).sum(axis=1), known.sum(axis=1), limits
+    return TrajectorySamples(
+        error=error[:, 0, columns].astype(np.float32),
+        total=total[:, 0],
+        count=count[:, 0],
+        best_error=np.fmin.reduce(error[..., columns], axis=1).astype(np.float32),
+        best_total=best_total,
+        components=np.isfinite(centre[..., 0]).any(axis=-1).sum(axis=1),
+        limits=np.moveaxis(np.fmin.accumulate(limits, axis=1), 1, -1).astype(np.float32),
+    )
 
 
 def _motion(observation: Observation) -> FloatArray:

@@ -21,7 +21,13 @@ from dosplan.evaluation.metrics import (
     mean_displacement,
     scaled_area,
 )
-from dosplan.evaluation.samples import FileSamples, SetSamples, TrajectorySamples
+from dosplan.evaluation.samples import (
+    FileSamples,
+    SetSamples,
+    TrajectorySamples,
+    join_sets,
+    join_trajectories,
+)
 from dosplan.evaluation.windows import HORIZONS
 from dosplan.types import BoolArray, IntArray
 
@@ -102,11 +108,7 @@ def summarise(
 def _each_method(samples: Sequence[FileSamples]) -> Iterator[SetSamples]:
     """Pools one method after the other, so that one copy is held at a time."""
     for parts in zip(*(s.sets for s in samples), strict=True):
-        yield SetSamples(
-            distance=np.concatenate([part.distance for part in parts]),
-            area=np.concatenate([part.area for part in parts]),
-            furthest=np.concatenate([part.furthest for part in parts]),
-        )
+        yield join_sets(parts)
 
 
 def _each_trajectory(
@@ -118,15 +120,7 @@ def _each_trajectory(
         members.setdefault(digests, []).append(index)
     for digests, indices in members.items():
         parts = [s.trajectories[digest] for s, digest in zip(samples, digests, strict=True)]
-        yield (
-            indices,
-            TrajectorySamples(
-                error=np.concatenate([part.error for part in parts]),
-                total=np.concatenate([part.total for part in parts]),
-                count=np.concatenate([part.count for part in parts]),
-                limits=np.concatenate([part.limits for part in parts]),
-            ),
-        )
+        yield indices, join_trajectories(parts)
 
 
 def _set_rows(label: str, sets: SetSamples, factor: Scales, pool: _Pool) -> Rows:
@@ -137,6 +131,9 @@ def _set_rows(label: str, sets: SetSamples, factor: Scales, pool: _Pool) -> Rows
             distance, scale = sets.distance[counted, h], factor[h]
             rate = clustered_ratio(covered(distance), pool.scenario[counted])
             osa = _mean(sets.area[counted, h])
+            shape = None
+            if sets.shape is not None and len(counted):
+                shape = sets.shape[counted, h].mean(axis=0, dtype=np.float64)
             rows.append(
                 {
                     "method": label,
@@ -145,10 +142,10 @@ def _set_rows(label: str, sets: SetSamples, factor: Scales, pool: _Pool) -> Rows
                     "cr": rate.value,
                     "cr_se": rate.error,
                     "osa": osa,
-                    "osa90": scaled_area(osa, scale),
+                    "osa90": scaled_area(osa, scale, shape),
                     "cr90": None if scale is None else _mean(distance <= np.float32(scale)),
                     "scale90": scale,
-                    "cr_at_paper_area": coverage_at_area(distance, osa, PAPER_AREAS[h]),
+                    "cr_at_paper_area": coverage_at_area(distance, osa, PAPER_AREAS[h], shape),
                     "n": rate.n,
                 }
             )
@@ -176,6 +173,8 @@ def _trajectory_rows(names: list[str], samples: TrajectorySamples, pool: _Pool) 
     for group, members in pool.groups.items():
         error, count = samples.error[members], samples.count[members]
         displacements = [mean_displacement(error[:, h]) for h in range(len(HORIZONS))]
+        best = samples.best_error[members]
+        closest = [mean_displacement(best[:, h]) for h in range(len(HORIZONS))]
         rows.append(
             {
                 "model": names[0],
@@ -186,6 +185,10 @@ def _trajectory_rows(names: list[str], samples: TrajectorySamples, pool: _Pool) 
                 "n": int(np.count_nonzero(count)),
                 "n_at": [int(np.isfinite(error[:, h]).sum()) for h in range(len(HORIZONS))],
                 "methods": names,
+                "components": int(samples.components[members].max(initial=0)),
+                "min_ade": average_displacement(samples.best_total[members], count),
+                "min_fde": closest[-1],
+                "min_displacement": closest,
             }
         )
     return rows
@@ -196,17 +199,19 @@ def _limit_rows(model: str, samples: TrajectorySamples, pool: _Pool) -> Rows:
     for group, members in pool.groups.items():
         for h, horizon in enumerate(HORIZONS):
             counted = members[np.isfinite(samples.error[members, h])]
-            for r, representation in enumerate(REPRESENTATIONS):
-                rows.append(
-                    {
-                        "model": model,
-                        "group": group,
-                        "horizon_s": horizon,
-                        "representation": representation,
-                        "area": _mean(samples.limits[counted, h, r]),
-                        "n": len(counted),
-                    }
-                )
+            for best_of in range(1, samples.limits.shape[-1] + 1):
+                added = f", best of {best_of}" if best_of > 1 else ""
+                for r, representation in enumerate(REPRESENTATIONS):
+                    rows.append(
+                        {
+                            "model": model,
+                            "group": group,
+                            "horizon_s": horizon,
+                            "representation": representation + added,
+                            "area": _mean(samples.limits[counted, h, r, best_of - 1]),
+                            "n": len(counted),
+                        }
+                    )
     return rows
 
 

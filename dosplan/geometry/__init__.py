@@ -31,7 +31,8 @@ from dosplan.geometry.plane import (
     wrap_angle,
 )
 from dosplan.geometry.stops import StopRules, StopSettings, Wait
-from dosplan.geometry.union import covering_ellipse, occupancy_of_union
+from dosplan.geometry.union import covering_ellipse, occupancy_of_union, set_distance
+from dosplan.geometry.union_area import set_area
 
 __all__ = [
     "NO_LIGHT",
@@ -62,6 +63,8 @@ __all__ = [
     "mahalanobis",
     "occupancy_of_union",
     "rectangle_corners",
+    "set_area",
+    "set_distance",
     "set_sizes",
     "to_body",
     "to_world",

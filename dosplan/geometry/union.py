@@ -1,4 +1,4 @@
-"""Unions of ellipses, and the one ellipse that covers each of them.
+"""Unions of ellipses: the one ellipse that covers each, and the distance to one.
 
 The covering ellipse has the centre and the shape of the components' moments: the mean of their
 centres, and the mean of their shape matrices plus the scatter of their centres. It is then scaled
@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 
+from dosplan.geometry.ellipse import mahalanobis
 from dosplan.types import BoolArray, FloatArray, Observation, Occupancy, SetUnion
 
 _SEARCH_STEPS: Final = 3  # Newton steps for the multiplier; the cover is within 1e-4 of exact.
@@ -91,6 +92,31 @@ def covering_ellipse(union: SetUnion) -> tuple[FloatArray, FloatArray, FloatArra
         )
     centre[several], semi_axes[several], angle[several] = found
     return centre, semi_axes, angle
+
+
+def set_distance(point: FloatArray, occupancy: Occupancy) -> FloatArray:
+    """Distance of points to sets, in multiples of the sets: 1 on the boundary of one.
+
+    In a union it is that to the component that is nearest in this measure: it is the smallest
+    factor on all semi-axes with which the union holds the point.
+
+    Args:
+        point: (..., N, T, 2) points, m.
+        occupancy: Sets of N road users at T steps.
+
+    Returns:
+        (..., N, T) distances; infinite where the occupancy is not valid, NaN where a point is.
+    """
+    union = occupancy.components
+    known = union.present[:, :, None] & occupancy.valid[:, None]
+    distance = mahalanobis(
+        point[..., :, None, :, :],
+        np.where(known[..., None], union.centre, 0.0),
+        np.where(known[..., None], union.semi_axes, 0.0),
+        np.where(known, union.angle, 0.0),
+    )
+    nearest = np.where(known, distance, np.inf).min(axis=-2)
+    return np.where(np.isnan(point).any(axis=-1), np.nan, nearest)
 
 
 def _cover(

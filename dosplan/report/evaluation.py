@@ -137,14 +137,24 @@ def _blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
                     for method in methods
                 ],
             )
+    several = any(row.get("components", 1) > 1 for row in figures["trajectories"])
     yield (
-        "Trajectories, m",
-        ["Model", "Group", "ADE", "FDE", *(f"{t} s" for t in seconds), "n"],
+        "Trajectories, m" + ("; min: of the best of M components" if several else ""),
+        [
+            "Model",
+            "Group",
+            "ADE",
+            "FDE",
+            *(f"{t} s" for t in seconds),
+            *(("M", "minADE", "minFDE") if several else ()),
+            "n",
+        ],
         [
             [
                 row["model"],
                 row["group"],
                 *(_number(x) for x in (row["ade"], row["fde"], *row["displacement"])),
+                *(_best_of_components(row) if several else ()),
                 str(row["n"]),
             ]
             for row in figures["trajectories"]
@@ -165,6 +175,10 @@ def _blocks(figures: Mapping[str, Any]) -> Iterator[Block]:
             for model, representation in dict.fromkeys(key[:2] for key in limits)
         ],
     )
+
+
+def _best_of_components(row: Row) -> list[str]:
+    return [str(row["components"]), _number(row["min_ade"]), _number(row["min_fde"])]
 
 
 def _future_blocks(figures: Mapping[str, Any]) -> Iterator[Block]:

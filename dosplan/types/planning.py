@@ -168,7 +168,7 @@ class SetUnion:
         """(N,) number of the component of the largest weight; the first of several."""
         return np.asarray(np.argmax(self.weight, axis=1))
 
-    def of_steps(self, steps: slice) -> Self:
+    def of_steps(self, steps: slice | IntArray) -> Self:
         """The same for some steps only.
 
         Args:
@@ -179,6 +179,18 @@ class SetUnion:
         """
         parts = ("centre", "semi_axes", "angle", "heading")
         return replace(self, **{name: getattr(self, name)[:, :, steps] for name in parts})
+
+    def of_users(self, rows: IntArray | BoolArray) -> Self:
+        """The same for some road users only.
+
+        Args:
+            rows: Which.
+
+        Returns:
+            These rows of every array.
+        """
+        parts = ("weight", "centre", "semi_axes", "angle", "heading")
+        return replace(self, **{name: getattr(self, name)[rows] for name in parts})
 
 
 @dataclass(frozen=True)
@@ -301,7 +313,7 @@ class Occupancy:
         Returns:
             The first columns of every array.
         """
-        return self if count >= self.horizon else self._of_steps(slice(count))
+        return self if count >= self.horizon else self.of_steps(slice(count))
 
     def later(self, steps: int) -> Self:
         """The same as it is for a planner that acts some steps after what was observed.
@@ -312,12 +324,33 @@ class Occupancy:
         Returns:
             Every array without its first columns.
         """
-        return self if steps == 0 else self._of_steps(slice(steps, None))
+        return self if steps == 0 else self.of_steps(slice(steps, None))
 
-    def _of_steps(self, steps: slice) -> Self:
+    def of_steps(self, steps: slice | IntArray) -> Self:
+        """The same for some steps only.
+
+        Args:
+            steps: Which.
+
+        Returns:
+            These columns of every array.
+        """
         parts = ("centre", "semi_axes", "angle", "valid", "heading")
         union = None if self.union is None else self.union.of_steps(steps)
         return replace(self, union=union, **{name: getattr(self, name)[:, steps] for name in parts})
+
+    def of_users(self, rows: IntArray | BoolArray) -> Self:
+        """The same for some road users only.
+
+        Args:
+            rows: Which.
+
+        Returns:
+            These rows of every array.
+        """
+        parts = ("ids", "centre", "semi_axes", "angle", "valid", "footprint", "heading")
+        union = None if self.union is None else self.union.of_users(rows)
+        return replace(self, union=union, **{name: getattr(self, name)[rows] for name in parts})
 
     def without_sets(self) -> Self:
         """The predicted positions with semi-axes of zero: the *without DOS* arm.
@@ -327,6 +360,17 @@ class Occupancy:
         """
         likeliest = self.likeliest()
         return replace(likeliest, semi_axes=np.zeros_like(self.semi_axes))
+
+    @property
+    def components(self) -> SetUnion:
+        """The sets as unions: where there is no union, of one component of weight 1 each."""
+        if self.union is not None:
+            return self.union
+        parts = ("centre", "semi_axes", "angle", "heading")
+        return SetUnion(
+            weight=np.ones((len(self.ids), 1)),
+            **{name: getattr(self, name)[:, None] for name in parts},
+        )
 
     def likeliest(self) -> Self:
         """The most likely component of every union.

@@ -25,7 +25,7 @@ from dosplan.evaluation.methods import Method
 from dosplan.evaluation.samples import FileSamples, PredictionError, sample_file
 from dosplan.evaluation.summary import scales, summarise
 from dosplan.evaluation.windows import HORIZON_COLUMNS, moments
-from dosplan.geometry import NO_LIGHT
+from dosplan.geometry import NO_LIGHT, set_area
 from dosplan.plugins.registry import create_predictor
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.system.files import read_json
@@ -194,6 +194,98 @@ def test_scales_come_from_the_reference() -> None:
     areas = np.pi * np.array(factor, dtype=np.float64) ** 2
     assert [row["osa90"] for row in rows] == pytest.approx(areas, rel=1e-5)
     assert [row["cr90"] for row in rows] == [1.0] * 4
+
+
+def _of_union(options: dict[str, Any] | None = None) -> tuple[str, str, dict[str, Any]]:
+    return ("fork", f"{PLUGINS}:ForkPredictor", {"horizon": 40, **(options or {})})
+
+
+def test_a_union_covers_what_any_of_its_components_does_and_counts_the_area_once() -> None:
+    # The car of constant speed is at the centre of the first component; it turns in none.
+    straight = _accelerating(0.0)
+    figures = _shown(straight, [_of_union()])
+    rows = _of(figures["sets"], group="all")
+    assert [row["cr"] for row in rows] == [1.0] * 4
+    time = np.array([1.0, 2.0, 3.0, 4.0])
+    one = np.pi * 0.5 * (0.1 + 0.4 * time) ** 2
+    # At 1 s the turn has brought the second component 1.5 m aside; from then on they are apart.
+    assert [row["osa"] for row in rows] == pytest.approx(2.0 * one, rel=1e-3)
+    assert _of(figures["simultaneous"], group="all")[0]["coverage"] == 1.0
+
+    (turned,) = _sample(_turning(), [_of_union()]).sets
+    assert (turned.distance[np.isfinite(turned.distance)] < 1e-3).all()
+
+
+def _turning(rate: float = 0.3, steps: int = 42, velocity: float = 10.0) -> Scenario:
+    """One car that turns left all the time."""
+    scenario = _accelerating(0.0, steps, velocity)
+    states = np.array(scenario.tracks.states)
+    turn = 0.1 * rate * np.arange(steps)
+    states[0, :, 0] = velocity / rate * np.sin(turn)
+    states[0, :, 1] = velocity / rate * (1.0 - np.cos(turn))
+    states[0, :, 2] = turn
+    return replace(scenario, tracks=replace(scenario.tracks, states=states))
+
+
+def test_displacements_are_those_of_the_most_likely_component_and_of_the_best() -> None:
+    (row,) = _of(_shown(_turning(), [_of_union()])["trajectories"], group="all")
+    assert row["components"] == 2
+    assert row["min_ade"] == pytest.approx(0.0, abs=1e-6)
+    assert row["min_fde"] == pytest.approx(0.0, abs=1e-5)
+    turn, way = 0.3 * 4.0, 40.0
+    end = way * np.array([np.sin(turn), 1.0 - np.cos(turn)]) / turn
+    assert row["fde"] == pytest.approx(np.hypot(end[0] - way, end[1]), rel=1e-5)
+    assert row["ade"] > 1.0
+
+    (one,) = _of(_shown(_turning(), CIRCLES[:1])["trajectories"], group="all")
+    assert (one["components"], one["min_ade"], one["min_fde"]) == (1, one["ade"], one["fde"])
+    assert one["min_displacement"] == one["displacement"]
+
+
+def test_limits_of_a_union_are_those_of_the_best_of_its_components() -> None:
+    figures = _shown(_turning(), [_of_union(), CIRCLES[0]])
+    limits = _of(figures["upper_limits"], group="all", horizon_s=4.0)
+    area = {(row["model"], row["representation"]): row["area"] for row in limits}
+    # The most likely one goes straight on, as constant velocity does.
+    assert area["fork", "circle"] == pytest.approx(area["cv", "circle"], rel=1e-5)
+    assert area["fork", "circle, best of 2"] == pytest.approx(0.0, abs=1e-9)
+    assert area["fork", "v2"] > 1.0 > area["fork", "v2, best of 2"]
+    assert ("cv", "circle, best of 2") not in area
+
+
+def test_a_union_scaled_to_a_level_or_an_area_has_that_level_or_area() -> None:
+    # Slow, so that components overlap, and off by the acceleration.
+    scenario = _accelerating(0.3, steps=61, velocity=0.5)
+    samples = _sample(scenario, [_of_union()])
+    rows = _of(summarise([samples], ["fork"], scales([samples]))["sets"], group="all")
+    predictor = create_predictor(f"{PLUGINS}:ForkPredictor", 0, {"horizon": 40})
+    for h, row in enumerate(rows):
+        areas = [
+            set_area(
+                predictor.predict(m.observation).of_steps(np.array(HORIZON_COLUMNS[h : h + 1])),
+                row["scale90"],
+            )
+            for m in moments(scenario, every=1)
+            if m.recorded[0, HORIZON_COLUMNS[h]]
+        ]
+        assert row["osa90"] == pytest.approx(np.mean(areas), rel=0.01)
+        assert row["cr90"] >= 0.9
+    # Components have the more in common the larger they are made.
+    assert any(row["osa90"] < 0.99 * row["osa"] * row["scale90"] ** 2 for row in rows)
+
+
+def test_sets_of_one_component_are_judged_as_the_ellipses_they_are() -> None:
+    names = {"fork": "StraightForkPredictor", "single": "SingleForkPredictor"}
+    methods: list[tuple[str, str, dict[str, Any]]] = [
+        (label, f"{PLUGINS}:{name}", {"horizon": 40}) for label, name in names.items()
+    ]
+    figures = _shown(_accelerating(0.2), methods)
+    for part in ("sets", "simultaneous"):
+        fork, single = ([dict(r) for r in _of(figures[part], method=m)] for m in ("fork", "single"))
+        for a, b in zip(fork, single, strict=True):
+            assert a.keys() == b.keys()
+            for key in a.keys() - {"method"}:
+                assert a[key] == b[key] or a[key] == pytest.approx(b[key], rel=1e-5), key
 
 
 class GivingUpPredictor(ConstantVelocityPredictor):

@@ -8,12 +8,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from shapely import Polygon, area, union_all
 
-from dosplan.geometry import covering_ellipse, ellipse_area, mahalanobis, occupancy_of_union
+from dosplan.geometry import (
+    covering_ellipse,
+    ellipse_area,
+    mahalanobis,
+    occupancy_of_union,
+    set_area,
+    set_distance,
+)
 from dosplan.scenario.synthetic import busy_scenario
 from dosplan.simulation.world import World
-from dosplan.types import FloatArray, SetUnion, ShapeError
-from tests.support.factories import random_union
+from dosplan.types import FloatArray, Occupancy, SetUnion, ShapeError
+from tests.support.factories import occupancy_at, random_union
 
 AROUND = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
 
@@ -121,3 +129,71 @@ def test_an_occupancy_of_a_union_is_of_its_cover_and_its_most_likely_heading() -
     np.testing.assert_array_equal(occupancy.heading[0], first)
     with pytest.raises(ShapeError):
         occupancy_of_union(seen, union, np.ones((n, 6), dtype=np.bool_))
+
+
+def occupancy_with(union: SetUnion) -> Occupancy:
+    users, steps = len(union.weight), union.horizon
+    flat = occupancy_at(np.zeros((users, 2)), steps)
+    centre, semi_axes, angle = covering_ellipse(union)
+    return replace(flat, centre=centre, semi_axes=semi_axes, angle=angle, union=union)
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+@pytest.mark.parametrize("spread", [0.0, 0.5, 2.0, 6.0])
+def test_the_area_of_a_union_is_that_of_its_polygons(count: int, spread: float) -> None:
+    union = random_union(np.random.default_rng(6), 40, count, 2, spread, reach=5.0)
+    for scale in (0.6, 1.0, 1.7):
+        scaled = replace(union, semi_axes=scale * union.semi_axes)
+        polygons = np.vectorize(Polygon, signature="(n,c)->()")(boundary(scaled))
+        wanted = area(union_all(np.moveaxis(polygons, 1, 0), axis=0))
+        found = set_area(occupancy_with(union), scale)
+        np.testing.assert_allclose(found, wanted, rtol=0.03)
+        assert found.mean() == pytest.approx(wanted.mean(), rel=1e-3)
+
+
+def test_areas_of_ellipses_that_lie_on_each_other_in_each_other_and_of_points() -> None:
+    def area_of(centres: list[float], axes: list[tuple[float, float]]) -> float:
+        m = len(centres)
+        union = SetUnion(
+            weight=np.full((1, m), 1.0 / m),
+            centre=np.array([[x, 0.0] for x in centres])[None, :, None],
+            semi_axes=np.array(axes)[None, :, None],
+            angle=np.full((1, m, 1), 0.3),
+            heading=np.zeros((1, m, 1)),
+        )
+        return float(set_area(occupancy_with(union))[0, 0]) / np.pi
+
+    assert area_of([0.0, 0.0], [(2.0, 1.0), (2.0, 1.0)]) == pytest.approx(2.0)
+    assert area_of([0.0, 0.1, 0.0], [(1.0, 1.0), (3.0, 3.0), (1.0, 1.0)]) == pytest.approx(9.0)
+    assert area_of([0.0, 9.0], [(2.0, 1.0), (1.0, 1.0)]) == pytest.approx(3.0)
+    assert area_of([0.0, 2.0], [(1.0, 1.0), (1.0, 1.0)]) == pytest.approx(2.0, rel=1e-3)
+    assert area_of([0.0, 0.0], [(2.0, 1.0), (0.0, 0.0)]) == pytest.approx(2.0)
+    assert area_of([0.0, 0.0], [(2.0, 1.0), (3.0, 0.0)]) == pytest.approx(2.0)
+    assert area_of([0.0, 1.0], [(0.0, 0.0), (0.0, 0.0)]) == 0.0
+
+
+def test_area_and_distance_without_a_union_are_those_of_the_ellipse() -> None:
+    union = random_union(np.random.default_rng(7), 5, 1, 3, spread=3.0, reach=5.0)
+    sets = replace(occupancy_with(union), union=None)
+    hidden = np.ones((5, 3), dtype=np.bool_)
+    hidden[2, 1] = False
+    sets = replace(sets, valid=hidden)
+    point = sets.centre + 1.0
+    wanted = mahalanobis(point, sets.centre, sets.semi_axes, sets.angle)
+    np.testing.assert_array_equal(
+        set_area(sets), np.where(hidden, ellipse_area(sets.semi_axes), 0.0)
+    )
+    np.testing.assert_array_equal(set_distance(point, sets), np.where(hidden, wanted, np.inf))
+    point[2, 1] = np.nan
+    assert np.isnan(set_distance(point, sets)[2, 1])
+
+
+def test_a_point_is_in_a_union_where_it_is_in_any_component() -> None:
+    union = random_union(np.random.default_rng(8), 6, 3, 4, spread=4.0, reach=3.0)
+    sets = occupancy_with(union)
+    points = sets.centre + np.random.default_rng(9).normal(scale=5.0, size=(50, 6, 4, 2))
+    each = mahalanobis(points[:, :, None], union.centre, union.semi_axes, union.angle)
+    np.testing.assert_array_equal(set_distance(points, sets), each.min(axis=2))
+    inside = set_distance(points, sets) <= 1.0
+    assert 0.05 < inside.mean() < 0.95
+    assert np.all(mahalanobis(points, sets.centre, sets.semi_axes, sets.angle)[inside] <= 1.0)

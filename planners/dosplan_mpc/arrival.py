@@ -208,7 +208,7 @@ class Arrivals:
             return True
         steps = len(states) - 1
         discs = self._sampler.disc_centres(states[1:])
-        return bool((sets.within(steps).distance(discs) >= _EVASIVE).all())
+        return bool((sets.at(slice(steps)).distance(discs) >= _EVASIVE).all())
 
 
 def _later(values: FloatArray) -> FloatArray:

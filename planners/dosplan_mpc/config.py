@@ -180,8 +180,8 @@ class SetSettings:
     """Settings of the forbidden sets (``obstacles``).
 
     Attributes:
-        watched: Number of road users whose sets are widened; the nearest of them fill the slots.
-        relevant: Normalised distance to the guess beyond which a set is no constraint.
+        watched: Number of road users whose sets are widened.
+        relevant: Normalised distance to the guess within which a set needs a slot at a step.
         tail: Length that a follower's set is given to its rear, m.
         release_seconds: Time after which a set that holds the ego now counts in full, s.
         smallest_release: Share below which such a set is never shrunk.
@@ -189,7 +189,7 @@ class SetSettings:
     """
 
     watched: int = 16
-    relevant: float = 3.0
+    relevant: float = 1.75
     tail: float = 15.0
     release_seconds: float = 1.5
     smallest_release: float = 0.6
@@ -329,7 +329,9 @@ class MpcConfig:
 
     Attributes:
         horizon: Number N of steps that are planned.
-        slots: Number M of road users that a stage can hold.
+        fine_steps: After so many of them, an input is held for two steps, and the limits hold at
+            every other step.
+        slots: Number M of sets that a stage can hold; the nearest to the guess fill them.
         discs: Number of discs that cover the ego's rectangle.
         lateral_weight: Cost of the offset from the reference path, 1/m2.
         heading_weight: Cost of the heading error, 1/rad2.
@@ -370,7 +372,8 @@ class MpcConfig:
     """
 
     horizon: int = 30
-    slots: int = 10
+    fine_steps: int = 10
+    slots: int = 6
     discs: int = 3
     lateral_weight: float = 0.36
     heading_weight: float = 1.0

@@ -28,8 +28,8 @@ from dosplan_mpc.barrier import BARRIER_ID, barrier
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.goal_window import locate_goals
 from dosplan_mpc.limits import half_width
-from dosplan_mpc.nlp import Guess, Solution, problems
-from dosplan_mpc.obstacles import ForbiddenSets, forbidden_sets, release, stretch_back
+from dosplan_mpc.nlp import Guess, Solution, problems, stage_steps
+from dosplan_mpc.obstacles import ChosenSets, ForbiddenSets, forbidden_sets, release, stretch_back
 from dosplan_mpc.passing import Pass, PassingDecision
 from dosplan_mpc.reference import EgoOnPath, aligned_path
 from dosplan_mpc.road import Road
@@ -104,7 +104,7 @@ class _Attempt(NamedTuple):
     """A solution and the sets that were its constraints."""
 
     solution: Solution
-    sets: ForbiddenSets
+    sets: ChosenSets
 
 
 class MpcEpisode:
@@ -129,7 +129,8 @@ class MpcEpisode:
         self._vehicle = vehicle
         self._dt = task.dt
         self._final_step = task.final_step
-        self._problems = problems(config, vehicle, task.dt)
+        self._problems = {p.config.slots: p for p in problems(config, vehicle, task.dt)}
+        self._stage_steps = stage_steps(config)
         self._radius = disc_offsets(vehicle, config.discs)[1] + config.clearance
         self._path = aligned_path(task, config.path)
         end = _end_of_road(task, road_map)
@@ -329,32 +330,33 @@ class MpcEpisode:
         )
 
     def _solve(self, scene: _Scene, guess: Guess) -> _Attempt:
-        """Solves the smallest problem that holds the sets near a guess."""
-        discs = self._sampler.disc_centres(guess.states)[1:]
-        slots, relevant = self._config.slots, self._config.sets.relevant
-        blocked = scene.barrier and scene.barrier.nearest(discs, 1, relevant)
-        if blocked is not None and len(blocked.ids):
-            slots -= 1  # A line is never left out for the sake of road users.
-        near = scene.sets.nearest(discs, slots, relevant).joined(blocked)
-        problem = next(p for p in self._problems if p.config.slots >= len(near.ids))
-        slots = problem.config.slots
-        s, _ = self._path.project(guess.states[:, :2], guess.arclength)
+        """Solves the smallest problem that holds the sets near a guess.
+
+        A line before which the ego has to stop is never left out for the sake of road users.
+        """
+        steps = self._stage_steps
+        states, profile = guess.states[steps], scene.profile.at(steps)
+        near = scene.forbidden.at(steps[1:] - 1).choose(
+            self._sampler.disc_centres(states[1:]),
+            tuple(self._problems),
+            self._config.sets.relevant,
+            np.array([BARRIER_ID]),
+        )
+        s, _ = self._path.project(states[:, :2], guess.arclength[steps])
         stages = StageParameters(
-            reference=self._reference(s, scene.profile),
+            reference=self._reference(s, profile),
             # A goal bounds the ego's centre, the middle station's edges bound its sides.
             stations=self._road.beside(
-                guess.states,
+                states,
                 s,
-                right=scene.profile.right - self._half_width,
-                left=scene.profile.left + self._half_width,
+                right=profile.right - self._half_width,
+                left=profile.left + self._half_width,
             ),
-            slots=near.fill(slots),
+            slots=near.fill(),
         )
         # A slot may hold another road user than before: slacks are computed from the guess.
-        slack = np.zeros((self._config.horizon, slots))
-        if len(near.ids):
-            slack[:, : len(near.ids)] = np.maximum(1.0 - near.distance(discs).T, 0.0)
-        return _Attempt(problem.solve(scene.start, stages, guess, slack), near)
+        problem = self._problems[near.slots]
+        return _Attempt(problem.solve(scene.start, stages, guess, near.slack()), near)
 
     def _reference(self, s: FloatArray, profile: SpeedProfile) -> Reference:
         """What the stages refer to, beside the arc lengths of a guess."""
@@ -376,14 +378,14 @@ def _any_usable(attempts: list[_Attempt]) -> bool:
 def _report(attempts: list[_Attempt], best: _Attempt, reason: str | None) -> SolveReport:
     """Times and iterations of all attempts of a cycle, and the rest of the best one."""
     solution = best.solution
-    touched = solution.set_slack.max(axis=0)[: len(best.sets.ids)] > _SEEN
+    touched = best.sets.touched(solution.set_slack, _SEEN)
     return SolveReport(
         status=solution.status,
         iterations=sum(attempt.solution.iterations for attempt in attempts),
         seconds=sum(attempt.solution.seconds for attempt in attempts),
         slack=float(solution.set_slack.max()),
         road_slack=max(float(solution.road_slack.max()), 0.0),
-        active_ids=tuple(int(i) for i in best.sets.ids[touched] if i != BARRIER_ID),
+        active_ids=tuple(i for i in touched if i != BARRIER_ID),
         waits_for=reason,
     )
 

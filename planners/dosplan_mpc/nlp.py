@@ -1,6 +1,9 @@
 """The optimal control problem: built once per process, solved once or twice a cycle.
 
-The costs and limits of a stage are in ``stage``.
+The costs and limits of a stage are in ``stage``. The first stages follow one another by a step, the
+later ones by two: what is further ahead will be planned again before it is driven, and a problem is
+solved the quicker the fewer stages it has. Guesses and solutions have every step; what the stages
+are told is made for the steps of ``stage_steps`` alone.
 
 A guess is the last solution, shifted in time, or a sample; slacks of sets are computed from it.
 CasADi's interface to fatrop takes no multipliers (they were measured to change nothing), so a small
@@ -18,6 +21,7 @@ import casadi as ca
 import numpy as np
 
 from dosplan.types import (
+    EGO_SIZE,
     EGO_STEERING,
     EGO_VELOCITY,
     BoolArray,
@@ -29,7 +33,9 @@ from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.compiled import Formulation
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.stage import (
+    ACCELERATION,
     INPUT_SIZE,
+    PREVIOUS_ACCELERATION,
     STATE_SIZE,
     StageParameters,
     input_stage,
@@ -62,7 +68,7 @@ class Solution:
     Attributes:
         states: (N + 1, 6).
         inputs: (N, 2).
-        set_slack: (N, M) slacks of stages 1 .. N.
+        set_slack: (K, M) slacks of the sets at stages 1 .. K.
         road_slack: (N,).
         cost: Value of the objective.
         residual: Largest violation of a constraint; infinite where the iterate is not finite.
@@ -87,6 +93,19 @@ class Solution:
         return self.status in (SolveStatus.SOLVED, SolveStatus.ACCEPTED)
 
 
+def stage_steps(config: MpcConfig) -> IntArray:
+    """At which steps the stages of the problem are.
+
+    Args:
+        config: Settings.
+
+    Returns:
+        (K + 1,) increasing, from 0 to N: each step at first, then every other one.
+    """
+    n, fine = config.horizon, min(config.fine_steps, config.horizon)
+    return np.array([*range(fine), *range(fine, n, 2), n], dtype=np.int64)
+
+
 class _Variables:
     """Where states, inputs and slacks are in the vector of decisions, and their bounds.
 
@@ -96,15 +115,15 @@ class _Variables:
 
     Attributes:
         count: Number of decisions.
-        states: (N + 1, 6) indices.
-        inputs: (N, 2) indices.
-        slacks: (N, M + 1) indices of the slacks of stages 1 .. N: those of the sets, the road's.
+        states: (K + 1, 6) indices.
+        inputs: (K, 2) indices.
+        slacks: (K, M + 1) indices of the slacks of stages 1 .. K: those of the sets, the road's.
         lower: (count,) lower bounds.
         upper: (count,) upper bounds.
     """
 
     def __init__(self, config: MpcConfig, vehicle: VehicleParameters) -> None:
-        last = config.horizon
+        last = len(stage_steps(config)) - 1
         sizes = [
             (STATE_SIZE, INPUT_SIZE if k < last else 0, config.slots + 1 if k > 0 else 0)
             for k in range(last + 1)
@@ -138,6 +157,10 @@ class MpcProblem:
             dt: Step, s.
         """
         self.config = config
+        self._vehicle = vehicle
+        self._dt = dt
+        self._steps = stage_steps(config)
+        self._spans = np.diff(self._steps)
         self._variables = _Variables(config, vehicle)
         graph, equality = _graph(config, vehicle, dt)
         self._equality: BoolArray = np.array(equality)
@@ -164,18 +187,19 @@ class MpcProblem:
 
         Args:
             start: (6,) present state and previous acceleration.
-            stages: Parameters of the stages, with M slots.
+            stages: Parameters of the K + 1 stages, with M slots.
             guess: Where to begin.
-            set_slack: (N, M) slacks of the sets to begin with.
+            set_slack: (K, M) slacks of the sets to begin with.
 
         Returns:
             The solution; failure is a status, not an exception.
         """
-        variables = self._variables
+        variables, steps = self._variables, self._steps
         point = np.zeros(variables.count)
-        point[variables.states] = guess.states
-        point[variables.inputs] = guess.inputs
-        point[variables.slacks] = np.column_stack([set_slack, guess.road_slack])
+        point[variables.states] = guess.states[steps]
+        held = np.add.reduceat(guess.inputs, steps[:-1], axis=0)
+        point[variables.inputs] = held / self._spans[:, None]
+        point[variables.slacks] = np.column_stack([set_slack, guess.road_slack[steps[1:] - 1]])
         parameter = np.concatenate([start, stages.pack().ravel()])
         if not (np.all(np.isfinite(parameter)) and np.all(np.isfinite(point))):
             return self._failed(guess, set_slack, 0.0)  # fatrop would never return.
@@ -202,17 +226,30 @@ class MpcProblem:
         else:
             status = SolveStatus.SOLVED if stats["success"] else SolveStatus.ACCEPTED
         slack = values[variables.slacks]
+        states, inputs = self._every_step(values[variables.states], values[variables.inputs])
         return Solution(
-            states=values[variables.states],
-            inputs=values[variables.inputs],
+            states=states,
+            inputs=inputs,
             set_slack=slack[:, :-1],
-            road_slack=slack[:, -1],
+            road_slack=np.repeat(slack[:, -1], self._spans),
             cost=float(result["f"]),
             residual=residual,
             status=status,
             iterations=int(stats["iter_count"]),
             seconds=seconds,
         )
+
+    def _every_step(self, states: FloatArray, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(N + 1, 6) states and (N, 2) inputs at all steps, from those of the stages."""
+        found = np.empty((self.config.horizon + 1, STATE_SIZE))
+        found[self._steps] = states
+        wide = np.flatnonzero(self._spans > 1)
+        between = self._steps[wide] + 1
+        found[between, :EGO_SIZE] = self._vehicle.step(
+            states[wide, :EGO_SIZE], inputs[wide], self._dt
+        )
+        found[between, PREVIOUS_ACCELERATION] = inputs[wide, ACCELERATION]
+        return found, np.repeat(inputs, self._spans, axis=0)
 
     def _residual(self, values: FloatArray, g: FloatArray) -> float:
         """Largest violation of a constraint or a bound."""
@@ -244,15 +281,18 @@ def _graph(
 ) -> tuple[dict[str, Any], list[bool]]:
     """The problem's expressions, and for each constraint whether it is an equation.
 
-    Constraints come stage by stage: the next state, then the limits of the stage.
+    Constraints come stage by stage: the next state, then the limits of the stage. A stage costs as
+    many times as much as it stands for steps.
     """
-    last = config.horizon
+    spans = np.diff(stage_steps(config)).tolist()
+    last = len(spans)
     states = [ca.SX.sym(f"x{k}", STATE_SIZE) for k in range(last + 1)]
     inputs = [ca.SX.sym(f"u{k}", INPUT_SIZE) for k in range(last)]
     slacks = [ca.SX.sym(f"s{k}", config.slots + 1) for k in range(1, last + 1)]
     parameters = ca.SX.sym("P", stage_size(config), last + 1)
     start = ca.SX.sym("start", STATE_SIZE)
-    drive, rate = input_stage(config, vehicle, dt), state_stage(config, vehicle)
+    drives = {span: input_stage(config, vehicle, span * dt) for span in sorted(set(spans))}
+    rate = state_stage(config, vehicle)
     decisions: list[Any] = []
     equations: list[tuple[Any, bool]] = []
     cost: Any = 0
@@ -261,10 +301,10 @@ def _graph(
         input_limits = []
         if k < last:
             decisions.append(inputs[k])
-            reached, input_cost, limits = drive(x, inputs[k])
+            reached, input_cost, limits = drives[spans[k]](x, inputs[k])
             equations.append((states[k + 1] - reached, True))
             input_limits.append(limits)
-            cost += input_cost
+            cost += spans[k] * input_cost
         if k == 0:
             equations.append((x - start, True))
         else:
@@ -272,8 +312,9 @@ def _graph(
             decisions.append(slack)
             state_cost, slack_cost, limits = rate(x, slack, parameters[:, k])
             equations.append((limits, False))
-            cost += (2.0 if k == last else 1.0) * state_cost
-            cost += slack_cost
+            # The last step counts double.
+            cost += (spans[k - 1] + (1.0 if k == last else 0.0)) * state_cost
+            cost += spans[k - 1] * slack_cost
         equations += [(limits, False) for limits in input_limits]
     graph = {
         "x": ca.vertcat(*decisions),
@@ -310,5 +351,5 @@ def problems(config: MpcConfig, vehicle: VehicleParameters, dt: float) -> tuple[
     Returns:
         The shared problems by increasing number of slots.
     """
-    sizes = sorted({config.slots // 4, config.slots // 2, config.slots})
+    sizes = sorted({-(-config.slots * part // 3) for part in (1, 2, 3)})
     return tuple(problem(replace(config, slots=slots), vehicle, dt) for slots in sizes)

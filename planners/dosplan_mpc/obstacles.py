@@ -14,6 +14,7 @@ lies between them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,37 +71,53 @@ class ForbiddenSets:
         fourth = (z[..., :n] + z[..., n:]).reshape(steps, discs, -1, n).min(axis=1)
         return np.asarray(np.sqrt(np.sqrt(fourth)).transpose(1, 2, 0).reshape(*lead, n, steps))
 
-    def nearest(self, points: FloatArray, count: int, within: float = np.inf) -> ForbiddenSets:
-        """The sets that come closest to a trajectory.
+    def choose(
+        self, points: FloatArray, sizes: Sequence[int], within: float, first: IntArray | None = None
+    ) -> ChosenSets:
+        """The sets that matter beside a trajectory, at each step of it by itself.
+
+        Who is far off at a step constrains nothing there: a few sets at each step are all that a
+        scene with many road users needs.
 
         Args:
-            points: (T, D, 2) centres of the discs along it, m.
-            count: How many to keep at the most.
-            within: Normalised distance from which on a set is left out.
+            points: (T, D, 2) centres of the discs along the trajectory, m.
+            sizes: Numbers of sets at a step that there is a problem for, increasing.
+            within: Normalised distance below which a set matters; the smallest size is taken that
+                holds those that do, and filled up with the next ones.
+            first: Ids of sets that, where they matter, are never left out for the sake of others.
 
         Returns:
-            At most ``count`` sets, the closest first.
+            The nearest sets at each step.
         """
-        if len(self.ids) == 0:
-            return self
-        distance = self.distance(points).min(axis=-1)
-        order = np.argsort(distance, kind="stable")[:count]
-        order = order[distance[order] < within]
-        return ForbiddenSets(
-            self.ids[order], self.centre[order], self.matrix[order], self.penalty[order]
+        n, steps = self.penalty.shape
+        if n == 0:
+            return ChosenSets(sizes[0], np.zeros((0, steps), dtype=np.int64), self, points)
+        distance = self.distance(points)
+        matters = distance < within
+        size = next((s for s in sizes if s >= matters.sum(axis=0).max()), sizes[-1])
+        if first is not None:
+            distance[np.isin(self.ids, first)[:, None] & matters] = -1.0
+        rows = np.argsort(distance, axis=0, kind="stable")[:size]
+        at = np.arange(steps)
+        held = ForbiddenSets(
+            np.arange(len(rows)),
+            self.centre[rows, at],
+            self.matrix[rows, at],
+            self.penalty[rows, at],
         )
+        return ChosenSets(size, self.ids[rows], held, points)
 
-    def within(self, steps: int) -> ForbiddenSets:
-        """The sets of the first steps.
+    def at(self, columns: IntArray | slice) -> ForbiddenSets:
+        """The sets of some steps.
 
         Args:
-            steps: How many.
+            columns: Which.
 
         Returns:
-            The same sets, of these steps alone.
+            The same sets, at these steps alone.
         """
         return ForbiddenSets(
-            self.ids, self.centre[:, :steps], self.matrix[:, :steps], self.penalty[:, :steps]
+            self.ids, self.centre[:, columns], self.matrix[:, columns], self.penalty[:, columns]
         )
 
     def joined(self, other: ForbiddenSets | None) -> ForbiddenSets:
@@ -142,6 +159,54 @@ class ForbiddenSets:
             second_row=filled(self.matrix[:, :, 1], EMPTY_SLOT.second_row),
             penalty=filled(self.penalty, EMPTY_SLOT.penalty),
         )
+
+
+class ChosenSets:
+    """The sets that the slots of a problem hold: at each step others.
+
+    Attributes:
+        slots: Number M of slots.
+        ids: (m, T) ids of the road users of the first m slots; the others are empty.
+    """
+
+    def __init__(self, slots: int, ids: IntArray, sets: ForbiddenSets, points: FloatArray) -> None:
+        """Keeps them.
+
+        Args:
+            slots: Number M of slots.
+            ids: (m, T) ids of the road users.
+            sets: Their m sets, by slot and step.
+            points: (T, D, 2) centres of the discs of the trajectory beside which they are, m.
+        """
+        self.slots = slots
+        self.ids = ids
+        self._sets = sets
+        self._points = points
+
+    def fill(self) -> Slot:
+        """The sets as the stages of the problem take them; see ``ForbiddenSets.fill``."""
+        return self._sets.fill(self.slots)
+
+    def slack(self) -> FloatArray:
+        """(T, M) how far the trajectory is inside each set, in normalised distance."""
+        slack = np.zeros((self.ids.shape[1], self.slots))
+        if len(self.ids):
+            inside = np.maximum(1.0 - self._sets.distance(self._points).T, 0.0)
+            slack[:, : len(self.ids)] = inside
+        return slack
+
+    def touched(self, slack: FloatArray, least: float) -> tuple[int, ...]:
+        """Ids of the road users whose sets a plan enters.
+
+        Args:
+            slack: (T, M) slacks of the plan.
+            least: Slack from which on a set counts.
+
+        Returns:
+            Their ids, each once.
+        """
+        inside = least < slack[:, : len(self.ids)].T
+        return tuple(dict.fromkeys(self.ids[inside].tolist()))
 
 
 def superellipse_axes(
@@ -233,8 +298,7 @@ def release(
     """
     if len(sets.ids) == 0:
         return sets
-    first = ForbiddenSets(sets.ids, sets.centre[:, :1], sets.matrix[:, :1], sets.penalty[:, :1])
-    now = first.distance(points[None])[:, 0]
+    now = sets.at(slice(1)).distance(points[None])[:, 0]
     share = np.clip(now / settings.release_distance, settings.smallest_release, 1.0)
     time = dt * np.arange(sets.centre.shape[1]) / settings.release_seconds
     factor = share[:, None] + (1.0 - share[:, None]) * np.minimum(time, 1.0)

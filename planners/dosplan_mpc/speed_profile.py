@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Self
 
 import numpy as np
 
 from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath, braking_envelope
-from dosplan.types import FloatArray, Route
+from dosplan.types import FloatArray, IntArray, Route
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig, SpeedSettings, Style
 from dosplan_mpc.goal_window import GoalWindow
@@ -50,6 +50,17 @@ class SpeedProfile:
     left: FloatArray
     heading: FloatArray
     heading_weight: FloatArray
+
+    def at(self, steps: IntArray) -> SpeedProfile:
+        """The reference of some steps.
+
+        Args:
+            steps: (K,) which.
+
+        Returns:
+            The same for those alone.
+        """
+        return SpeedProfile(**{part.name: getattr(self, part.name)[steps] for part in fields(self)})
 
 
 @dataclass(frozen=True)

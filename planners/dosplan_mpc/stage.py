@@ -2,16 +2,17 @@
 
 Model: kinematic single track of ``dosplan.vehicle`` in the scenario frame, with the previous
 acceleration as a sixth state ``x = (x, y, delta, v, psi, a_prev)``, inputs ``(delta', a)``,
-Runge-Kutta 4 over a step with the inputs held.
+Runge-Kutta 4 from one stage to the next, which is a step later or two, with the inputs held.
 
-Cost at stages 1 .. N (weights of ``MpcConfig``; the last stage counts double): offset from the
-reference path, heading error, velocity error, steering other than the path's curvature asks for,
-and on the way to a goal the error of the station and of the goal's heading;
-at stages 0 .. N-1: steering rate, acceleration, jerk. The reference of a stage is a frozen
+Cost at stages 1 .. K (weights of ``MpcConfig``, for each step that a stage stands for; the last
+step counts double): offset from the reference path, heading error, velocity error, steering other
+than the path's curvature asks for, and on the way to a goal the error of the station and of the
+goal's heading;
+at stages 0 .. K-1: steering rate, acceleration, jerk. The reference of a stage is a frozen
 parabola ``(x, y, psi, kappa)`` of the path at the guess's arc length: cheaper than a
 curvilinear model, and sets keep their shape.
 
-Limits at stages 1 .. N, with slacks that are inputs of the stage:
+Limits at stages 1 .. K, with slacks that are inputs of the stage:
 
 * Sets: for slot j and covering disc i, ``(z1^4 + z2^4 + eps)^(1/4) >= 1 - s_j`` with
   ``z = M_j (p_i - c_j)``: the disc's centre stays out of a superellipse (see ``obstacles``).
@@ -22,7 +23,7 @@ Limits at stages 1 .. N, with slacks that are inputs of the stage:
   edges are those of the drivable area as the guess sees them (see ``road``).
 
 Hard limits: the friction circle ``a^2 + (v psi')^2 <= (grip a_max)^2`` and engine power
-``a v <= a_max v_s`` at stages 0 .. N-1, and the bounds of steering and velocity, of steering rate
+``a v <= a_max v_s`` at stages 0 .. K-1, and the bounds of steering and velocity, of steering rate
 and acceleration, which the problem sets.
 
 Not modelled: tyre slip, actuator delay, reversing.
@@ -150,9 +151,9 @@ class StageParameters:
     """Parameters of all stages by name.
 
     Attributes:
-        reference: Arrays that begin with (N + 1).
-        stations: Arrays that begin with (N + 1, STATIONS), from the rear to the front bumper.
-        slots: Arrays that begin with (N + 1, M).
+        reference: Arrays that begin with (K + 1).
+        stations: Arrays that begin with (K + 1, STATIONS), from the rear to the front bumper.
+        slots: Arrays that begin with (K + 1, M).
     """
 
     reference: Reference
@@ -160,7 +161,7 @@ class StageParameters:
     slots: Slot
 
     def pack(self) -> FloatArray:
-        """(N + 1, ``stage_size``) the parameters as the problem takes them."""
+        """(K + 1, ``stage_size``) the parameters as the problem takes them."""
         reference = _pack(self.reference, _REFERENCE)
         count = len(reference)
         stations = np.concatenate([_pack(edge, _EDGE) for edge in self.stations], axis=-1)

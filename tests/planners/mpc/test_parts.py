@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from dosplan_mpc.config import MpcConfig, SamplerSettings, SetSettings, SpeedSettings
 from dosplan_mpc.goal_window import GoalWindow, locate_goals
-from dosplan_mpc.nlp import Guess, MpcProblem, Solution, problem
+from dosplan_mpc.nlp import Guess, MpcProblem, Solution, problem, stage_steps
 from dosplan_mpc.obstacles import (
     ForbiddenSets,
     forbidden_sets,
@@ -230,22 +230,6 @@ def test_distance_is_that_of_the_nearest_disc(away: float) -> None:
         assert found[c, i, t] == pytest.approx(wanted, rel=1e-6, abs=1e-9)
 
 
-def test_nearest_orders_by_normalised_distance() -> None:
-    a = the_set(occupancy_at(30.0, 0.0), 1.0)
-    b = the_set(occupancy_at(12.0, 0.0), 1.0)
-    both = ForbiddenSets(
-        np.array([1, 2]),
-        np.concatenate([a.centre, b.centre]),
-        np.concatenate([a.matrix, b.matrix]),
-        np.concatenate([a.penalty, b.penalty]),
-    )
-    way = np.zeros((30, 1, 2))
-    np.testing.assert_array_equal(both.nearest(way, 5).ids, [2, 1])
-    np.testing.assert_array_equal(both.nearest(way, 1).ids, [2])
-    # 12 m are four half axes of some 3.2 m, 30 m are nine.
-    np.testing.assert_array_equal(both.nearest(way, 5, within=5.0).ids, [2])
-
-
 # Path and goals
 
 
@@ -443,6 +427,56 @@ def test_slots_that_are_left_over_are_out_of_reach() -> None:
     assert slots.centre[0].min() == slots.centre[:, 1:].min() == 1e4
 
 
+def sets_at(*places: float) -> ForbiddenSets:
+    """Round sets of 2 m along the x axis, with ids from 100 on, that move on at 10 m/s."""
+    x = np.array(places)[:, None] + 10.0 * DT * np.arange(HORIZON)
+    return ForbiddenSets(
+        ids=100 + np.arange(len(places)),
+        centre=np.stack([x, np.zeros_like(x)], axis=-1),
+        matrix=np.tile(0.5 * np.eye(2), (len(places), HORIZON, 1, 1)),
+        penalty=np.tile(PENALTY, (len(places), 1)),
+    )
+
+
+def test_each_step_has_the_sets_that_are_near_there() -> None:
+    """Who is passed one after the other takes one slot, not one each."""
+    sets = sets_at(0.0, 20.0, 40.0)
+    standing = np.tile([30.0, 0.0], (HORIZON, 1, 1))
+    chosen = sets.choose(standing, sizes=(1, 2, 3), within=2.0)
+    assert chosen.slots == 1
+    assert chosen.ids[0, 0] == 101  # 20 m to go, and 40 m from it
+    assert chosen.ids[0, -1] == 100
+    slots, step = chosen.fill(), 10
+    np.testing.assert_array_equal(slots.centre[1 + step, 0], sets.centre[1, step])
+    slack = chosen.slack()
+    assert slack.shape == (HORIZON, 1)
+    assert slack[step] == 1.0
+    assert chosen.touched(slack, 0.1) == (101, 100)
+    assert chosen.touched(np.zeros_like(slack), 0.1) == ()
+
+
+def test_as_many_slots_as_sets_are_near_at_once() -> None:
+    sets = sets_at(0.0, 0.5, 1.0, 500.0)
+    along = sets.centre[0][:, None]
+    assert sets.choose(along, (1, 2, 3, 4), within=2.0).slots == 3
+    few = sets.choose(along, (1, 2), within=2.0)
+    assert few.slots == 2
+    assert set(few.ids.ravel()) == {100, 101}
+
+
+def test_a_set_that_goes_first_is_not_left_out() -> None:
+    sets = sets_at(0.0, 0.5, 1.0)
+    along = sets.centre[0][:, None]
+    chosen = sets.choose(along, (1, 2), within=2.0, first=np.array([102]))
+    assert set(chosen.ids.ravel()) == {100, 102}
+
+
+def test_no_sets_leave_all_slots_empty() -> None:
+    chosen = sets_at().choose(np.zeros((HORIZON, 1, 2)), (2, 4), within=2.0)
+    assert chosen.fill().centre.min() == 1e4
+    assert chosen.slack().shape == (HORIZON, 2)
+
+
 def test_a_lane_beside_is_as_wide_as_the_settings_say() -> None:
     path = path_of(straight_route())
     start, ego = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), EgoOnPath(0, 20.0, 0.0, 21.42, 10.0)
@@ -491,21 +525,21 @@ def test_rating_prefers_the_free_side() -> None:
 
 def stages_of(mpc: MpcProblem, guess: Guess, *sets: ForbiddenSets) -> StageParameters:
     """A straight road along +x with edges 5 m to both sides, and sets on it."""
-    n = mpc.config.horizon
+    n, steps = mpc.config.horizon, stage_steps(mpc.config)
     together = ForbiddenSets(
         ids=np.arange(len(sets)),
         centre=np.concatenate([np.empty((0, n, 2)), *(s.centre for s in sets)]),
         matrix=np.concatenate([np.empty((0, n, 2, 2)), *(s.matrix for s in sets)]),
         penalty=np.concatenate([np.empty((0, n)), *(s.penalty for s in sets)]),
-    )
-    return straight_stages(guess.states[:, 0], mpc.config.slots, together)
+    ).at(steps[1:] - 1)
+    return straight_stages(guess.states[steps, 0], mpc.config.slots, together)
 
 
 def test_parameters_of_a_stage_have_their_place(mpc: MpcProblem) -> None:
     """Packed for all stages and unpacked for one, they have the same names."""
     stages = stages_of(mpc, straight_guess(mpc), the_set(occupancy_at(20.0, -0.4), 1.0))
     packed = stages.pack()
-    assert packed.shape == (HORIZON + 1, stage_size(mpc.config))
+    assert packed.shape == (len(stage_steps(mpc.config)), stage_size(mpc.config))
     p = ca.SX.sym("p", packed.shape[1])
     reference, stations, slots = unpack_stage(p, mpc.config.slots)
 
@@ -543,7 +577,8 @@ def straight_guess(mpc: MpcProblem, lateral: float = 0.0) -> Guess:
 
 def solved(mpc: MpcProblem, start: FloatArray, stages: StageParameters, guess: Guess) -> Solution:
     """The solution from a guess that enters no set."""
-    return mpc.solve(start, stages, guess, np.zeros((mpc.config.horizon, mpc.config.slots)))
+    slack = np.zeros((len(stage_steps(mpc.config)) - 1, mpc.config.slots))
+    return mpc.solve(start, stages, guess, slack)
 
 
 @pytest.fixture(scope="module")
@@ -553,6 +588,42 @@ def mpc() -> MpcProblem:
 
 def test_problem_is_built_once(mpc: MpcProblem) -> None:
     assert problem(MpcConfig(), VEHICLE, DT) is mpc
+
+
+@pytest.mark.parametrize(
+    ("horizon", "fine", "steps"),
+    [
+        (6, 6, [0, 1, 2, 3, 4, 5, 6]),
+        (6, 9, [0, 1, 2, 3, 4, 5, 6]),
+        (8, 2, [0, 1, 2, 4, 6, 8]),
+        (7, 2, [0, 1, 2, 4, 6, 7]),
+        (5, 0, [0, 2, 4, 5]),
+    ],
+)
+def test_later_stages_are_two_steps_apart(horizon: int, fine: int, steps: list[int]) -> None:
+    config = replace(MpcConfig(), horizon=horizon, fine_steps=fine)
+    np.testing.assert_array_equal(stage_steps(config), steps)
+
+
+def test_wide_stages_plan_what_narrow_ones_do() -> None:
+    """Two steps at once later on change a plan by little, and its first second by hardly anything.
+
+    Their cost is that of the steps which they stand for.
+    """
+    start = np.array([0.0, 0.6, 0.02, 9.0, 0.05, 0.3])
+    _, radius = disc_offsets(VEHICLE, CONFIG.discs)
+    sets = the_set(occupancy_at(20.0, -0.4), radius, np.full(HORIZON, 2000.0))
+    found = []
+    for fine in (HORIZON, CONFIG.fine_steps):
+        mpc = problem(replace(MpcConfig(), slots=2, fine_steps=fine), VEHICLE, DT)
+        guess = straight_guess(mpc, lateral=2.5)
+        found.append(solved(mpc, start, stages_of(mpc, guess, sets), guess))
+    narrow, wide = found
+    assert wide.usable
+    assert wide.inputs.shape == narrow.inputs.shape
+    assert wide.cost == pytest.approx(narrow.cost, rel=0.05)
+    np.testing.assert_allclose(wide.states[:11, :5], narrow.states[:11, :5], atol=0.05)
+    np.testing.assert_allclose(wide.states[:, :2], narrow.states[:, :2], atol=0.25)
 
 
 def test_solution_obeys_the_vehicle_model(mpc: MpcProblem) -> None:

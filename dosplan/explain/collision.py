@@ -55,7 +55,7 @@ class SetCheck:
     Attributes:
         lead: How long before, s.
         inside: Whether its true centre was inside the set.
-        error: Distance of the true centre to the predicted one, m.
+        error: Distance of the true centre to the predicted one, of a union's nearest component, m.
         reach: The same in multiples of the set, 1 on its boundary; None where the set has no
             extent.
     """
@@ -227,17 +227,18 @@ def _set_checks(drive: Drive, user: int, step: int) -> tuple[SetCheck, ...]:
         recording.set_semi_axes[rows, columns],
         recording.set_angles[rows, columns],
     )
-    checks = [
-        SetCheck(
-            lead=int(recording.set_offsets[column]) * drive.scenario.dt,
-            inside=bool(reach <= 1.0),
-            error=float(error),
-            reach=float(reach) if np.isfinite(reach) else None,
-        )
-        for column, error, reach in zip(columns, errors, reaches, strict=True)
-        if np.isfinite(error)
-    ]
-    return tuple(sorted(checks, key=lambda check: check.lead))
+    checks: dict[float, SetCheck] = {}
+    # Of a union, the nearest component is what holds, or fails by the least: it comes last.
+    for i in np.argsort(-reaches, kind="stable"):
+        if np.isfinite(errors[i]):
+            lead = int(recording.set_offsets[columns[i]]) * drive.scenario.dt
+            checks[lead] = SetCheck(
+                lead=lead,
+                inside=bool(reaches[i] <= 1.0),
+                error=float(errors[i]),
+                reach=float(reaches[i]) if np.isfinite(reaches[i]) else None,
+            )
+    return tuple(checks[lead] for lead in sorted(checks))
 
 
 def _course(ego: FloatArray, user: FloatArray) -> Course:

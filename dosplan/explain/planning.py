@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from dosplan.geometry import rectangle_corners
+from dosplan.geometry import ellipse_boundary, rectangle_corners
 from dosplan.results.drive import Drive
 from dosplan.scoring.metrics import SLACK_SEEN
 from dosplan.types import USER_HEADING, FloatArray, SolveStatus
@@ -169,7 +169,7 @@ def _entered(drive: Drive, cycle: int) -> tuple[int, ...]:
         here = np.isfinite(recording.set_centres[row, columns]).all(axis=-1)
         if np.any(shapely.distance(bodies[here], sets[here]) < 0.5 * sizes.get(user, 0.0)):
             found.append(user)
-    return tuple(found)
+    return tuple(dict.fromkeys(found))  # A set that is a union has several rows.
 
 
 def _planned_poses(drive: Drive, cycle: int) -> FloatArray:
@@ -187,10 +187,5 @@ def _planned_poses(drive: Drive, cycle: int) -> FloatArray:
 
 def _ellipses(centres: FloatArray, semi_axes: FloatArray, angles: FloatArray) -> npt.NDArray[Any]:
     """(S,) ellipses as polygons within them; points where they have no extent."""
-    turns = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
-    rim = semi_axes[:, None] * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    along, across = rim[..., 0], rim[..., 1]
-    points = np.stack([cos * along - sin * across, sin * along + cos * across], axis=-1)
-    shown = np.nan_to_num(centres[:, None] + points)
+    shown = np.nan_to_num(ellipse_boundary(centres, semi_axes, angles, _CORNERS))
     return np.asarray(shapely.convex_hull(shapely.multipoints(shown)))

@@ -2,6 +2,7 @@
 
 from dosplan.geometry.ellipse import (
     ellipse_area,
+    ellipse_boundary,
     ellipse_extent,
     inside_ellipse,
     mahalanobis,
@@ -53,6 +54,7 @@ __all__ = [
     "close_seams",
     "covering_ellipse",
     "ellipse_area",
+    "ellipse_boundary",
     "ellipse_extent",
     "inside_ellipse",
     "lanelet_cells",

@@ -82,6 +82,28 @@ def ellipse_extent(semi_axes: FloatArray, turn: FloatArray) -> FloatArray:
     )
 
 
+def ellipse_boundary(
+    centre: FloatArray, semi_axes: FloatArray, angle: FloatArray, count: int
+) -> FloatArray:
+    """Points all around the boundary of an ellipse.
+
+    Args:
+        centre: (..., 2) centres, m.
+        semi_axes: (..., 2) semi-axes, m.
+        angle: (...) direction of the first semi-axis, rad.
+        count: Number P of points, the first at the end of the first semi-axis.
+
+    Returns:
+        (..., P, 2) m.
+    """
+    around = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    local = semi_axes[..., None, :] * np.stack([np.cos(around), np.sin(around)], axis=-1)
+    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    x, y = local[..., 0], local[..., 1]
+    turned = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+    return np.asarray(centre[..., None, :] + turned)
+
+
 def set_sizes(occupancy: Occupancy, steps: int | None = None) -> FloatArray:
     """Rectangles along each road user's heading that hold its footprint anywhere in its set.
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dosplan.api import NoPlanError, OraclePredictor, Planner, PluginSpec, PluginT, Predictor
+from dosplan.geometry import ellipse_boundary, mahalanobis
 from dosplan.plugins.short_drives import (
     HORIZON,
     Trace,
@@ -27,6 +28,7 @@ from dosplan.plugins.short_drives import (
 from dosplan.scenario.synthetic import (
     busy_scenario,
     crowded_scenario,
+    forking_sets,
     growing_sets,
     straight_scenario,
 )
@@ -36,6 +38,8 @@ from dosplan.types import Observation, Occupancy, Scenario
 SEED = 7
 SLOW_SECONDS = 2.0  # Median time of a call; a cycle of the benchmark is 0.1 s.
 MODEL_TOLERANCE = 0.05  # m, rad and m/s between a plan's states and those of the vehicle model.
+BOUNDARY_POINTS = 64  # On each component of a union, of which none may be outside of its cover.
+COVER_TOLERANCE = 1e-6  # Of the cover's size.
 INPUT_TOLERANCE = 0.05  # rad/s and m/s2 beyond what the actuators deliver.
 
 
@@ -211,6 +215,11 @@ def planner_contract(plugin: type[Planner] | PluginSpec[Planner]) -> Contract:
         (
             *_common_rules(build, drive, drive_planner),
             Rule("arms_agree_without_predictions", lambda: _arms_agree(drive)),
+            Rule(
+                "unions",
+                lambda: drive(busy_scenario(), sets=forking_sets),
+                "a set may be a union of ellipses; Occupancy.by_component() lists them one by one",
+            ),
             Rule("vehicle_model", lambda: _follows_model(drive(busy_scenario()))),
             Rule("actuator_limits", lambda: _within_limits(drive(busy_scenario()))),
         ),
@@ -247,6 +256,7 @@ def predictor_contract(plugin: type[Predictor] | PluginSpec[Predictor]) -> Contr
         ),
         (
             *_common_rules(build, drive, drive_predictor),
+            Rule("unions_covered", lambda: _covers_unions(drive(busy_scenario()))),
             Rule(
                 "one_step_horizon",
                 lambda: drive_predictor(build(1), busy_scenario()),
@@ -372,6 +382,24 @@ def _arms_agree(drive: _Drive) -> None:
             f"with no road user predicted, the two arms differ in {', '.join(changed)}; leave out "
             "road users and steps where Occupancy.valid is False"
         )
+
+
+def _covers_unions(trace: Trace) -> None:
+    for occupancy in trace.results:
+        union = occupancy.union
+        if union is None:
+            continue
+        known = union.present[:, :, None] & occupancy.valid[:, None]
+        points = ellipse_boundary(union.centre, union.semi_axes, union.angle, BOUNDARY_POINTS)
+        cover = (occupancy.centre, occupancy.semi_axes, occupancy.angle)
+        reach = mahalanobis(points, *(part[:, None, :, None] for part in cover)).max(axis=-1)
+        if np.any(outside := known & ~(reach <= 1.0 + COVER_TOLERANCE)):
+            user, component, step = np.argwhere(outside)[0]
+            raise BrokenError(
+                f"component {component} of road user {occupancy.ids[user]} leaves the ellipse of "
+                f"Occupancy.centre, semi_axes and angle at step {step + 1}, which is to cover it; "
+                "make the occupancy with dosplan.geometry.occupancy_of_union"
+            )
 
 
 def _follows_model(trace: Trace) -> None:

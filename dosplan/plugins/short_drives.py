@@ -139,7 +139,13 @@ def another_future(scenario: Scenario) -> Scenario:
 
 def _differences(one: Any, other: Any) -> list[str]:
     """Names of the array fields in which two values of the same type differ."""
-    return [
+    found: list[str] = []
+    if isinstance(one, Occupancy) and (one.union is not None or other.union is not None):
+        if one.union is None or other.union is None:
+            found.append("Occupancy.union")
+        else:
+            found += _differences(one.union, other.union)
+    return found + [
         f"{type(one).__name__}.{field.name}"
         for field in fields(one)
         if isinstance(getattr(one, field.name), np.ndarray)

@@ -86,6 +86,8 @@ class Recording:
         set_centres: (M, S, 2) predicted centres, m; NaN where not valid.
         set_semi_axes: (M, S, 2) semi-axes, m.
         set_angles: (M, S) direction of the first semi-axis, rad.
+        set_weights: (M,) where sets are unions of ellipses, the weight of each: those of one road
+            user follow one another, the most likely one first. None where each set is one ellipse.
         exact: Whether times and slacks are kept exactly; in files of older versions they are in
             single precision.
         signals: The traffic lights as they were; None where that is as recorded.
@@ -125,6 +127,7 @@ class Recording:
     set_centres: FloatArray
     set_semi_axes: FloatArray
     set_angles: FloatArray
+    set_weights: FloatArray | None = None
     exact: bool = True
     signals: Signals | None = None
     future: int = 0
@@ -147,6 +150,8 @@ class Recording:
             "set_semi_axes": (sets, offsets, 2),
             "set_angles": (sets, offsets),
         }
+        if self.set_weights is not None:
+            shapes["set_weights"] = (sets,)
         for name, shape in shapes.items():
             if (found := np.shape(getattr(self, name))) != shape:
                 raise ValueError(f"{name} has shape {found}, expected {shape}")
@@ -167,6 +172,18 @@ class Recording:
     def cycle_ms(self) -> FloatArray:
         """(C,) time of each full cycle, predict and plan, ms."""
         return 1e3 * (self.predict_seconds + self.plan_seconds)
+
+    @property
+    def weights(self) -> FloatArray:
+        """(M,) how likely each kept set is; 1 where it is all of its road user's set."""
+        return np.ones(len(self.set_ids)) if self.set_weights is None else self.set_weights
+
+    @property
+    def first_components(self) -> IntArray:
+        """(U,) first row of the kept sets of each cycle and road user, which may have several."""
+        names = np.stack([self.set_cycle, self.set_ids], axis=1)
+        changes = np.any(names[1:] != names[:-1], axis=1)
+        return np.flatnonzero(np.concatenate([[True], changes])[: len(names)])
 
     @property
     def reports(self) -> tuple[SolveReport, ...]:
@@ -394,18 +411,24 @@ def _kept_sets(episode: Episode) -> dict[str, Any]:
     centres: list[FloatArray] = [np.empty((0, len(columns), 2))]
     semi_axes: list[FloatArray] = [np.empty((0, len(columns), 2))]
     angles: list[FloatArray] = [np.empty((0, len(columns)))]
+    weights: list[FloatArray] = [np.empty(0)]
     for cycle, (step, occupancy) in enumerate(
         zip(episode.cycle_steps, episode.occupancies, strict=True)
     ):
-        near = _nearby(occupancy, episode.states[step - episode.start_step, :2])
+        sets, row, weight = occupancy.by_component()
+        near = _nearby(sets, episode.states[step - episode.start_step, :2])
+        near = np.isin(row, row[near])  # All components of a road user, or none.
         kept = np.ix_(near, columns)
-        hidden = ~occupancy.valid[kept]
+        hidden = ~sets.valid[kept]
         cycles.append(np.full(int(near.sum()), cycle))
-        ids.append(occupancy.ids[near])
-        centres.append(np.where(hidden[..., None], np.nan, occupancy.centre[kept]))
-        semi_axes.append(np.where(hidden[..., None], np.nan, occupancy.semi_axes[kept]))
-        angles.append(np.where(hidden, np.nan, occupancy.angle[kept]))
+        ids.append(sets.ids[near])
+        centres.append(np.where(hidden[..., None], np.nan, sets.centre[kept]))
+        semi_axes.append(np.where(hidden[..., None], np.nan, sets.semi_axes[kept]))
+        angles.append(np.where(hidden, np.nan, sets.angle[kept]))
+        weights.append(weight[near])
+    unions = any(occupancy.union is not None for occupancy in episode.occupancies)
     return {
+        "set_weights": np.concatenate(weights) if unions else None,
         "set_cycle": np.concatenate(cycles),
         "set_ids": np.concatenate(ids),
         "set_offsets": columns + 1,

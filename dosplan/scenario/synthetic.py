@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from shapely.geometry import box
 
+from dosplan.geometry import occupancy_of_union
 from dosplan.types import (
     STEP_SECONDS,
     USER_HEADING,
@@ -26,6 +27,7 @@ from dosplan.types import (
     RoadUserKind,
     Route,
     Scenario,
+    SetUnion,
     Tracks,
 )
 from dosplan.vehicle import VehicleParameters
@@ -197,6 +199,40 @@ def crowded_scenario() -> Scenario:
     low, high = [-40.0, -15.0, -np.pi, 0.0], [150.0, 20.0, np.pi, 12.0]
     tracks = steady_tracks(rng.uniform(low, high, size=(50, USER_SIZE)))
     return straight_scenario(tracks, start_step=40, final_step=90)
+
+
+def forking_sets(
+    observation: Observation, horizon: int = 40, turning: float = 0.3, rate: float = 0.3
+) -> Occupancy:
+    """A plain prediction of two courses: who moves goes straight on, or turns left.
+
+    Args:
+        observation: What is known now.
+        horizon: Number T of steps.
+        turning: Weight of turning; who stands has one component.
+        rate: How fast it turns, rad/s.
+
+    Returns:
+        Unions of two sets, as large as those of ``growing_sets``.
+    """
+    now = observation.states[:, -1]
+    time = observation.dt * np.arange(1, horizon + 1)
+    turn = np.array([0.0, rate])[:, None] * time
+    heading = now[:, USER_HEADING, None, None] + turn
+    # The chord of an arc is turned by half of its angle.
+    chord = now[:, USER_HEADING, None, None] + turn / 2.0
+    way = now[:, USER_VELOCITY, None, None] * time * np.sinc(turn / 2.0 / np.pi)
+    direction = np.stack([np.cos(chord), np.sin(chord)], axis=-1)
+    reach = 0.1 + 0.4 * np.tile(time, (len(now), 2, 1))
+    turns = np.where(now[:, USER_VELOCITY] > 0.0, turning, 0.0)
+    union = SetUnion(
+        weight=np.stack([1.0 - turns, turns], axis=1),
+        centre=now[:, None, None, :2] + way[..., None] * direction,
+        semi_axes=np.stack([reach, 0.5 * reach], axis=-1),
+        angle=heading,
+        heading=heading,
+    )
+    return occupancy_of_union(observation, union)
 
 
 def growing_sets(observation: Observation, horizon: int = 40) -> Occupancy:

@@ -390,13 +390,16 @@ class Occupancy:
 
         Returns:
             An occupancy of one ellipse for each of R components, those of one road user one after
-            another, so that its id is there several times; (R,) the row of the road user here;
-            (R,) the component's weight. Without a union that is itself, every row, and ones.
+            another, the most likely one first, so that its id is there several times; (R,) the row
+            of the road user here; (R,) the component's weight. Without a union that is itself,
+            every row, and ones.
         """
         union = self.union
         if union is None:
             return self, np.arange(len(self.ids)), np.ones(len(self.ids))
-        rows, which = np.nonzero(union.present)
+        order = np.argsort(-union.weight, axis=1, kind="stable")
+        rows, rank = np.nonzero(np.take_along_axis(union.present, order, axis=1))
+        which = order[rows, rank]
         parts = ("centre", "semi_axes", "angle", "heading")
         spread = replace(
             self,

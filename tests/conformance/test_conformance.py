@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -17,6 +17,7 @@ from dosplan.api import NoSettings, Planner, PluginSpec, PredictorSettings
 from dosplan.plugins import conformance
 from dosplan.plugins.conformance import Report, check_planner, check_predictor
 from dosplan.plugins.short_drives import HORIZON
+from dosplan.scenario.synthetic import forking_sets
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
 from dosplan.vehicle import VehicleParameters
 from tests.support.peers import skip_where_missing
@@ -155,6 +156,13 @@ class Rocket(GoodPlanner):
         return plan_of(observation, np.full((10, 2), [0.0, 30.0]))
 
 
+class HatesUnions(GoodPlanner):
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        if occupancy.union is not None:
+            raise ValueError("what is this?")
+        return super().compute_plan(observation, occupancy)
+
+
 class Sleeper(GoodPlanner):
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
         time.sleep(0.05)
@@ -182,6 +190,7 @@ BAD_PLANNERS = [
     (Writer, "plans", "copy the array before you write to it"),
     (Burglar, "input_untouched", "changed Observation.states"),
     (NeedsCompany, "no_road_users", "ValueError: zero-size array"),
+    (HatesUnions, "unions", "what is this?"),
     (HatesCrowds, "many_road_users", "MemoryError: at most 20 road users"),
     (NeedsPast, "short_history", "holds a NaN"),
     (FearsGhosts, "arms_agree_without_predictions", "the two arms differ in Plan.inputs"),
@@ -275,11 +284,20 @@ class Historian(GoodPredictor):
         return self.sets(observation, heading=first)
 
 
+class LeavesCover(GoodPredictor):
+    """Has the most likely component where the cover should be."""
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        sets = forking_sets(observation, self.horizon)
+        return replace(sets.likeliest(), union=sets.union)
+
+
 BAD_PREDICTORS = [
     (TakesNoSettings, "constructs", "unexpected keyword argument 'settings'"),
     (GoodPlanner, "constructs", "is no dosplan.api.Predictor; inherit from it"),
     (ForgetsSomebody, "predicts", "Occupancy.ids must be observation.ids"),
     (PredictsNan, "predicts", "Occupancy.centre holds a NaN"),
+    (LeavesCover, "unions_covered", "component 1 of road user 100 leaves the ellipse of Occupancy"),
     (FixedHorizon, "one_step_horizon", "predicted 40 steps, asked for 1"),
     (Gambler, "deterministic", "differ in Occupancy.semi_axes"),
     (Learner, "reset_forgets", "another Occupancy.semi_axes"),

@@ -17,6 +17,7 @@ from dosplan.explain.collision import CollisionFacts, Course
 from dosplan.explain.goal import GoalFacts
 from dosplan.explain.planning import PlanningFacts
 from dosplan.explain.road import RoadFacts
+from dosplan.geometry import occupancy_of_union
 from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import Recording
@@ -47,6 +48,7 @@ from dosplan.types import (
     RoadMap,
     RoadUserKind,
     Scenario,
+    SetUnion,
     SolveReport,
     SolveStatus,
     Tracks,
@@ -146,6 +148,30 @@ def test_a_collision_tells_at_which_lead_time_the_set_failed(
     reaches = [check.reach for check in facts.sets]
     assert reaches == pytest.approx([error / radius for error in errors], rel=0.02)
     assert (facts.held, facts.failed) == (held, failed)
+
+
+class Unions(Discs):
+    """A disc as wide, and a likelier one beside the road."""
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        sets = super().compute_occupancy(observation)
+        centre = np.stack([sets.centre, sets.centre + np.array([0.0, 30.0])], axis=1)
+        union = SetUnion(
+            weight=np.tile([0.25, 0.75], (len(sets.ids), 1)),
+            centre=centre,
+            semi_axes=np.full_like(centre, self.radius),
+            angle=np.zeros(centre.shape[:-1]),
+            heading=np.zeros(centre.shape[:-1]),
+        )
+        return occupancy_of_union(observation, union)
+
+
+def test_of_a_union_the_component_tells_that_held_or_failed_by_the_least(tmp_path: Path) -> None:
+    scenario = straight_scenario(braking_car(), velocity=15.0)
+    alone = collision_of(explained(tmp_path, scenario, predictor=Discs(3.0)))
+    several = collision_of(explained(tmp_path, scenario, predictor=Unions(3.0)))
+    assert several.sets == alone.sets
+    assert (several.held, several.failed) == (1.0, 1.5)
 
 
 def test_a_collision_names_who_and_how(tmp_path: Path) -> None:

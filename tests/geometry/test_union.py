@@ -13,6 +13,7 @@ from shapely import Polygon, area, union_all
 from dosplan.geometry import (
     covering_ellipse,
     ellipse_area,
+    ellipse_boundary,
     mahalanobis,
     occupancy_of_union,
     set_area,
@@ -23,16 +24,10 @@ from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Occupancy, SetUnion, ShapeError
 from tests.support.factories import occupancy_at, random_union
 
-AROUND = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
-
 
 def boundary(union: SetUnion) -> FloatArray:
     """(N, M, T, 720, 2) points on the boundary of every component."""
-    local = union.semi_axes[..., None, :] * np.stack([np.cos(AROUND), np.sin(AROUND)], axis=-1)
-    cos, sin = np.cos(union.angle)[..., None], np.sin(union.angle)[..., None]
-    x, y = local[..., 0], local[..., 1]
-    turned = np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
-    return np.asarray(union.centre[..., None, :] + turned)
+    return ellipse_boundary(union.centre, union.semi_axes, union.angle, 720)
 
 
 def farthest(union: SetUnion) -> FloatArray:

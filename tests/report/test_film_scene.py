@@ -97,7 +97,8 @@ def test_ego_stands_at_its_start(axes: Axes, scenario: Scenario) -> None:
 def test_sets_have_their_full_axes_and_the_latest_is_below(axes: Axes) -> None:
     centres = np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [np.nan, 0.0]])
     semi_axes = np.array([[2.0, 1.0], [0.0, 0.0], [4.0, 2.0], [1.0, 1.0]])
-    Sets(axes, zorder=4).show(centres, semi_axes, np.zeros(4), np.array([0.0, 0.5, 1.0, 0.2]))
+    shares = np.array([0.0, 0.5, 1.0, 0.2])
+    Sets(axes, zorder=4).show(centres, semi_axes, np.zeros(4), shares, np.ones(4))
     (ellipses,) = (c for c in axes.collections if isinstance(c, EllipseCollection))
     (points,) = (c for c in axes.collections if isinstance(c, PathCollection))
     # The latest is drawn first, so that none hides another; what has no extent is a point.
@@ -105,6 +106,16 @@ def test_sets_have_their_full_axes_and_the_latest_is_below(axes: Axes) -> None:
     np.testing.assert_array_equal(np.asarray(ellipses.get_widths()), [8.0, 4.0])
     np.testing.assert_array_equal(np.asarray(ellipses.get_heights()), [4.0, 2.0])
     np.testing.assert_array_equal(np.asarray(points.get_offsets()), centres[[1]])
+
+
+def test_a_component_of_little_weight_is_fainter(axes: Axes) -> None:
+    weights = np.array([1.0, 0.25, 0.0])
+    flat = np.zeros(3)
+    Sets(axes, zorder=4).show(np.zeros((3, 2)), np.ones((3, 2)), flat, flat, weights)
+    (ellipses,) = (c for c in axes.collections if isinstance(c, EllipseCollection))
+    for colours in (ellipses.get_facecolor(), ellipses.get_edgecolor()):
+        alpha = np.asarray(colours)[:, 3]
+        assert alpha / alpha[0] == pytest.approx([1.0, 0.5, 0.0])
 
 
 def test_view_is_square_and_shows_start_and_goal(axes: Axes, scenario: Scenario) -> None:

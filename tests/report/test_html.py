@@ -196,6 +196,46 @@ def test_who_is_in_a_set_is_told_exactly() -> None:
         assert prediction.miss == pytest.approx(np.hypot(along, across))
 
 
+def _union_recording(first: FloatArray, second: FloatArray) -> Recording:
+    """The same cycle with two components, at (2, 2) centres for the two steps ahead."""
+    one = _recording(Arm.WITH_DOS, first, np.ones((2, 2)), 0.0)
+    return replace(
+        one,
+        set_cycle=np.array([0, 0]),
+        set_ids=np.array([100, 100]),
+        set_centres=np.stack([first, second]),
+        set_semi_axes=np.ones((2, 2, 2)),
+        set_angles=np.zeros((2, 2)),
+        set_weights=np.array([0.8, 0.2]),
+    )
+
+
+def test_a_union_holds_whom_any_of_its_components_does() -> None:
+    tracks = steady_tracks([[30.0, 0.0, 0.0, 8.0]])  # At 66 m, then at 70 m.
+    far = np.array([[66.0, 5.0], [70.0, 5.0]])
+    recording = _union_recording(far, np.array([[66.0, 0.5], [72.0, 0.0]]))
+    met = sets_met(recording, tracks, driven=2)
+    assert met.ids.tolist() == [100]
+    assert met.inside.tolist() == [[True, False]]
+    assert met.counted.tolist() == [[True, True]]
+    (prediction,) = predictions_of(met, user=100, step=45)
+    assert prediction.miss == pytest.approx(5.0)  # Of the most likely component.
+
+
+def test_components_of_a_union_are_drawn_by_their_weight() -> None:
+    centres = np.array([[66.0, 0.0], [70.0, 0.0]])
+    union = _union_recording(centres, centres + 4.0)
+    points = _recording(Arm.WITHOUT_DOS, centres, np.zeros((2, 2)), 0.0)
+    blocks, used = prediction_blocks([union, points], [2, 2], None, np.zeros(2))
+    # The other arm was handed the most likely component: the same prediction.
+    assert used == [{"block": 0, "points": False}, {"block": 0, "points": True}]
+    likely, other = blocks[0]["runs"]
+    assert (likely["component"], likely["weights"]) == (0, [80])
+    assert (other["component"], other["weights"]) == (1, [20])
+    blocks, _ = prediction_blocks([points], [2], None, np.zeros(2))
+    assert blocks[0]["runs"][0].keys() == {"user", "from", "n", "sets"}
+
+
 def test_points_are_no_sets_but_have_a_miss() -> None:
     tracks = steady_tracks([[30.0, 0.0, 0.0, 8.0]])
     centres = np.array([[67.0, 0.0], [70.0, 0.0]])

@@ -38,6 +38,7 @@ from dosplan.types import (
     Outcome,
     Plan,
     Score,
+    SetUnion,
     SolveReport,
     SolveStatus,
 )
@@ -332,6 +333,44 @@ def test_sets_that_are_not_valid_come_back_as_nan(tmp_path: Path) -> None:
     assert np.isfinite(back.set_centres[0, 0]).all()
     assert np.isnan(back.set_centres[0, 1]).all()
     assert np.isnan(back.set_angles[0, 1])
+
+
+def test_components_of_a_union_are_kept_one_by_one_the_most_likely_first(tmp_path: Path) -> None:
+    episode = _episode(cycles=1, users=2)
+    (sets,) = episode.occupancies
+    # The first road user's second component is far away, and kept as the road user is near.
+    centre = np.stack([sets.centre, sets.centre + 200.0], axis=1)
+    union = SetUnion(
+        weight=np.array([[0.25, 0.75], [1.0, 0.0]]),
+        centre=centre,
+        semi_axes=np.tile([[2.0, 1.0], [4.0, 3.0]], (2, sets.horizon, 1, 1)).swapaxes(1, 2),
+        angle=np.repeat(sets.angle[:, None], 2, axis=1),
+        heading=np.repeat(sets.heading[:, None], 2, axis=1),
+    )
+    occupancy = replace(sets, union=union)
+    recording = Recording.of(SCENARIO, replace(episode, occupancies=(occupancy,)))
+    recording.save(tmp_path / "e.npz")
+    back = Recording.load(tmp_path / "e.npz")
+    _assert_same(back, recording)
+    assert back.set_ids.tolist() == [10, 10, 11]
+    assert back.weights.tolist() == [0.75, 0.25, 1.0]
+    assert back.first_components.tolist() == [0, 2]
+    assert back.set_semi_axes[:, 0].tolist() == [[4.0, 3.0], [2.0, 1.0], [2.0, 1.0]]
+    far, near = back.set_centres[:2, 0] - back.set_centres[1, 0]
+    assert far == pytest.approx([200.0, 200.0], abs=0.02)
+    assert near.tolist() == [0.0, 0.0]
+
+
+def test_files_of_sets_that_are_no_unions_hold_no_weights(tmp_path: Path) -> None:
+    recording = Recording.of(SCENARIO, _episode())
+    recording.save(tmp_path / "e.npz")
+    assert recording.set_weights is None
+    assert (recording.weights == 1.0).all()
+    assert recording.first_components.tolist() == list(range(12))
+    with np.load(tmp_path / "e.npz") as file:
+        assert "set_weights" not in file.files
+    with pytest.raises(ValueError, match=r"set_weights has shape \(3,\), expected \(12,\)"):
+        replace(recording, set_weights=np.ones(3))
 
 
 def test_road_users_that_reacted_are_in_the_file_and_recorded_ones_are_not(tmp_path: Path) -> None:

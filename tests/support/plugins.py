@@ -20,17 +20,13 @@ from typing import Any, Final
 import numpy as np
 
 from dosplan.api import NoSettings, OraclePredictor, Planner, Predictor
-from dosplan.geometry import occupancy_of_union
-from dosplan.scenario.synthetic import growing_sets
+from dosplan.scenario.synthetic import forking_sets, growing_sets
 from dosplan.types import (
     EGO_SIZE,
-    USER_HEADING,
-    USER_VELOCITY,
     FloatArray,
     Observation,
     Occupancy,
     Plan,
-    SetUnion,
     SolveReport,
     SolveStatus,
     Tracks,
@@ -324,39 +320,20 @@ class FaultPlanner(Planner):
 
 
 class ForkPredictor(Predictor):
-    """Who moves drives straight on, or turns left at 0.3 rad/s; who stands has one component."""
+    """Who moves drives straight on, or turns left; who stands has one component."""
 
     name = "fork-v1"
-    turn_weight = 0.3
+    turning = 0.3
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
-        now = observation.states[:, -1]
-        time = observation.dt * np.arange(1, self.horizon + 1)
-        turn = np.array([0.0, 0.3])[:, None] * time
-        heading = now[:, USER_HEADING, None, None] + turn
-        # Of a circular arc, the chord is turned by half the angle.
-        bent = np.sinc(turn / 2.0 / np.pi) * time
-        chord = now[:, USER_HEADING, None, None] + turn / 2.0
-        way = now[:, USER_VELOCITY, None, None] * bent
-        reach = 0.1 + 0.4 * np.tile(time, (len(now), 2, 1))
-        moves = now[:, USER_VELOCITY] > 0.0
-        turns = np.where(moves, self.turn_weight, 0.0)
-        union = SetUnion(
-            weight=np.stack([1.0 - turns, turns], axis=1),
-            centre=now[:, None, None, :2]
-            + way[..., None] * np.stack([np.cos(chord), np.sin(chord)], axis=-1),
-            semi_axes=np.stack([reach, 0.5 * reach], axis=-1),
-            angle=heading,
-            heading=heading,
-        )
-        return occupancy_of_union(observation, union)
+        return forking_sets(observation, self.horizon, self.turning)
 
 
 class StraightForkPredictor(ForkPredictor):
     """Straight on alone, as one of two components."""
 
     name = "straight-fork-v1"
-    turn_weight = 0.0
+    turning = 0.0
 
 
 class SingleForkPredictor(StraightForkPredictor):

@@ -199,10 +199,10 @@ def test_each_component_is_a_road_user_of_its_own() -> None:
     union = replace(union, weight=np.array([[0.25, 0.0, 0.75], [0.1, 0.2, 0.7]]))
     spread, rows, weight = replace(sets, union=union).by_component()
     assert rows.tolist() == [0, 0, 1, 1, 1]
-    assert weight.tolist() == [0.25, 0.75, 0.1, 0.2, 0.7]
+    assert weight.tolist() == [0.75, 0.25, 0.7, 0.2, 0.1]
     assert spread.ids.tolist() == [100, 100, 101, 101, 101]
     assert spread.union is None
-    which = [0, 2, 0, 1, 2]
+    which = [2, 0, 2, 1, 0]
     for field in ("centre", "semi_axes", "angle", "heading"):
         np.testing.assert_array_equal(getattr(spread, field), getattr(union, field)[rows, which])
 

@@ -111,13 +111,15 @@ def _draw_scene(axes: Axes, scenario: Scenario) -> None:
 
 
 def _draw_sets(axes: Axes, occupancy: Occupancy) -> None:
-    shown = occupancy.valid[:, SHOWN]
+    sets, _, weight = occupancy.by_component()
+    shown = sets.valid[:, SHOWN]
     shares = np.broadcast_to((SHOWN + 1) / STEPS, shown.shape)
     Sets(axes, zorder=4).show(
-        occupancy.centre[:, SHOWN][shown],
-        occupancy.semi_axes[:, SHOWN][shown],
-        occupancy.angle[:, SHOWN][shown],
+        sets.centre[:, SHOWN][shown],
+        sets.semi_axes[:, SHOWN][shown],
+        sets.angle[:, SHOWN][shown],
         shares[shown],
+        np.broadcast_to(weight[:, None], shown.shape)[shown],
     )
 
 

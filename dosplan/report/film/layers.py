@@ -141,7 +141,12 @@ class Sets:
         self.artists: tuple[Artist, ...] = (self._ellipses, self._points)
 
     def show(
-        self, centres: FloatArray, semi_axes: FloatArray, angles: FloatArray, shares: FloatArray
+        self,
+        centres: FloatArray,
+        semi_axes: FloatArray,
+        angles: FloatArray,
+        shares: FloatArray,
+        weights: FloatArray,
     ) -> None:
         """Shows sets in the place of those before; what is NaN is left out.
 
@@ -150,6 +155,7 @@ class Sets:
             semi_axes: (M, 2) m.
             angles: (M,) direction of the first semi-axis, rad.
             shares: (M,) place of each on ``SET_COLOURS``, 0 to 1: higher, the later it is to hold.
+            weights: (M,) how likely each is, 0 to 1: the less, the fainter.
         """
         # Sets grow with time: the far ones are drawn first, so that none hides another.
         order = np.argsort(-shares, kind="stable")
@@ -157,6 +163,7 @@ class Sets:
         extended = (semi_axes[order] > 0.0).all(axis=-1)
         sets, points = order[extended], order[~extended]
         colours = SET_COLOURS(shares)
+        colours[:, 3] *= np.sqrt(weights)  # Of what is seen, a tenth is a third: it matters, too.
         self._ellipses.set_offsets(centres[sets])
         self._ellipses.set_widths(2.0 * semi_axes[sets, 0])
         self._ellipses.set_heights(2.0 * semi_axes[sets, 1])

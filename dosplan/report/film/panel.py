@@ -190,6 +190,7 @@ class Panel:
             recording.set_semi_axes[kept].reshape(-1, 2),
             recording.set_angles[kept].reshape(-1),
             shares.reshape(-1),
+            np.repeat(recording.weights[kept], len(offsets)),
         )
 
     def _make_layers(self) -> None:

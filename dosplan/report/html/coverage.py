@@ -1,7 +1,8 @@
 """Coverage of the sets as met in the episodes, from their files and the road users as driven.
 
 A set that was handed to the planner at step s for a road user t steps ahead counts where it is
-known where that road user was at s + t: it is a hit where the true centre lies inside it.
+known where that road user was at s + t: it is a hit where the true centre lies inside it, for a
+union inside any of its components.
 Recordings keep the sets near the ego only, so these are the ones that mattered to it. Sets without
 an extent (the arm without DOS) are no sets and do not count.
 """
@@ -27,7 +28,8 @@ class SetsMet:
         step: (M,) step at which each was made.
         ids: (M,) id of the road user.
         offsets: (S,) steps ahead.
-        miss: (M, S) distance of the predicted from the true centre, m; NaN where that is unknown.
+        miss: (M, S) distance of the predicted from the true centre, that of the most likely
+            component, m; NaN where that is unknown.
         counted: (M, S) whether the set has an extent and the true centre is known.
         inside: (M, S) whether it held the true centre; False where not counted.
         moving: (M,) whether the road user moved when it was predicted.
@@ -87,26 +89,31 @@ def sets_met(recording: Recording, tracks: Tracks, driven: int) -> SetsMet:
     Returns:
         The comparisons, of the cycles of that drive.
     """
-    step = recording.cycle_steps[recording.set_cycle]
-    kept = step < recording.start_step + driven
-    step, ids = step[kept], recording.set_ids[kept]
-    centre, angle = recording.set_centres[kept], recording.set_angles[kept]
-    axes = recording.set_semi_axes[kept]
+    step, ids = recording.cycle_steps[recording.set_cycle], recording.set_ids
+    centre = recording.set_centres
+    axes, angle = recording.set_semi_axes, recording.set_angles
     user = _indices(ids, tracks.ids)
     target = step[:, None] + recording.set_offsets
     column = np.minimum(target, tracks.steps - 1)
     there = (user >= 0)[:, None] & (target < tracks.steps) & tracks.valid[user[:, None], column]
     truth = tracks.states[user[:, None], column, :2]
     counted = there & np.all(axes > 0.0, axis=-1)
+    inside = counted & inside_ellipse(truth, centre, axes, angle)
     now = tracks.states[user, np.minimum(step, tracks.steps - 1), USER_VELOCITY]
+    first = recording.first_components
+    if len(first):
+        counted, inside = (np.logical_or.reduceat(part, first) for part in (counted, inside))
+    kept = step[first] < recording.start_step + driven
+    first = first[kept]
+    miss = np.linalg.norm(truth[first] - centre[first], axis=-1)
     return SetsMet(
-        step=step,
-        ids=ids,
+        step=step[first],
+        ids=ids[first],
         offsets=recording.set_offsets,
-        miss=np.where(there, np.linalg.norm(truth - centre, axis=-1), np.nan),
-        counted=counted,
-        inside=counted & inside_ellipse(truth, centre, axes, angle),
-        moving=np.abs(now) >= MOVING,
+        miss=np.where(there[first], miss, np.nan),
+        counted=counted[kept],
+        inside=inside[kept],
+        moving=np.abs(now[first]) >= MOVING,
     )
 
 

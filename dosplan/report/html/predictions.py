@@ -1,5 +1,7 @@
 """The sets of an episode in a page: for each road user and step ahead, a series over the cycles.
 
+A set that is a union has a series for each of its components, the most likely one first.
+
 Road users do not react to the ego, so the arms of a run see the same predictions; where those of
 two sides agree they are stored once. A block of predictions with an extent is drawn as sets for the
 side that was handed sets, and as points for the side that was handed points.
@@ -21,14 +23,16 @@ from dosplan.types import BoolArray, FloatArray, IntArray
 AGREE_METRES: Final = 0.05
 """Centres that differ by no more than this are the same prediction."""
 
-_Key = tuple[int, int]  # Step and id of the road user.
+_Key = tuple[int, int, int]  # Step, id of the road user, and place among the components.
 _Set = FloatArray  # (S, 5) centre, m, semi-axes, m, and angle, rad; NaN where not valid.
+_PERCENT: Final = 0.01
 
 
 @dataclass(frozen=True)
 class _Predictions:
     offsets: tuple[int, ...]
     sets: dict[_Key, _Set]
+    weights: dict[_Key, float]
 
     @property
     def points(self) -> bool:
@@ -65,9 +69,11 @@ def prediction_blocks(
     for side, mine in sorted(there, key=lambda one: one[1].points):
         block = next((i for i, other in enumerate(blocks) if _agree(other, mine)), len(blocks))
         if block == len(blocks):
-            blocks.append(_Predictions(mine.offsets, {}))
+            blocks.append(_Predictions(mine.offsets, {}, {}))
         for key, one in mine.sets.items():
-            blocks[block].sets.setdefault(key, one)
+            if key not in blocks[block].sets:
+                blocks[block].sets[key] = one
+                blocks[block].weights[key] = mine.weights[key]
         used[side] = {"block": block, "points": mine.points}
     return [_encode(block, users, origin) for block in blocks], used
 
@@ -82,9 +88,14 @@ def _predictions(
     rows = np.concatenate(
         [recording.set_centres, recording.set_semi_axes, recording.set_angles[..., None]], axis=-1
     )
+    first = recording.first_components
+    place = np.arange(len(steps)) - np.repeat(first, np.diff(first, append=len(steps)))
+    names = list(zip(steps.tolist(), recording.set_ids.tolist(), place.tolist(), strict=True))
+    chosen = np.flatnonzero(kept).tolist()
     return _Predictions(
         offsets=tuple(recording.set_offsets.tolist()),
-        sets={(int(steps[i]), int(recording.set_ids[i])): rows[i] for i in np.flatnonzero(kept)},
+        sets={names[i]: rows[i] for i in chosen},
+        weights={names[i]: float(recording.weights[i]) for i in chosen},
     )
 
 
@@ -109,19 +120,23 @@ def _agree(ours: _Predictions, theirs: _Predictions) -> bool:
 def _encode(
     block: _Predictions, users: Mapping[int, int] | None, origin: FloatArray
 ) -> dict[str, Any]:
-    steps = sorted({step for step, _ in block.sets})
+    steps = sorted({step for step, _, _ in block.sets})
     position = {step: index for index, step in enumerate(steps)}
     runs = []
-    for user in sorted({user for _, user in block.sets}):
-        there = [position[step] for step in steps if (step, user) in block.sets]
+    for user, place in sorted({(user, place) for _, user, place in block.sets}):
+        there = [position[step] for step in steps if (step, user, place) in block.sets]
         for run in _runs(there):
-            series = np.stack([block.sets[steps[index], user] for index in run])
+            keys = [(steps[index], user, place) for index in run]
+            series = np.stack([block.sets[key] for key in keys])
+            weights = [block.weights[key] for key in keys]
+            component = {"component": place, "weights": differences(weights, _PERCENT, 1)}
             runs.append(
                 {
                     "user": None if users is None else users[user],
                     "from": run[0],
                     "n": len(run),
                     "sets": [_encode_series(series[:, s], origin) for s in range(series.shape[1])],
+                    **({} if place == 0 and min(weights) == 1.0 else component),
                 }
             )
     return {"offsets": list(block.offsets), "steps": differences(steps, 1.0, 1), "runs": runs}

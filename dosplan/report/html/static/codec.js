@@ -69,18 +69,22 @@ function decodePath(path) {
   };
 }
 
-// Sets by cycle: [user, steps ahead as an index, x, y, first and second semi-axis, angle].
+// Sets by cycle: [user, steps ahead as an index, x, y, first and second semi-axis, angle, weight,
+// place among the components of a union].
 function decodePredictions(block) {
   const steps = sums(block.steps, 1, 1);
   const cycles = steps.map(() => []);
   for (const run of block.runs) {
+    const weights = run.weights ? sums(run.weights, 0.01, 1) : new Array(run.n).fill(1);
+    const place = run.component || 0;
     run.sets.forEach((series, ahead) => {
       if (!series.length) return;
       const [x, y] = [0, 1].map((axis) => sums(series[axis], GRAIN.metre, 2));
       const [a, b] = [2, 3].map((axis) => sums(series[axis], GRAIN.axis, 1));
       const angle = sums(series[4], GRAIN.radian, 1);
       for (let i = 0; i < run.n; i += 1) {
-        if (a[i] >= 0) cycles[run.from + i].push([run.user, ahead, x[i], y[i], a[i], b[i], angle[i]]);
+        if (a[i] < 0) continue;
+        cycles[run.from + i].push([run.user, ahead, x[i], y[i], a[i], b[i], angle[i], weights[i], place]);
       }
     });
   }

@@ -161,7 +161,8 @@ function drawSets(context, episode, step, layers, pixel, palette) {
     const cycle = latest(predictions.steps, step);
     if (cycle < 0) return;
     const sets = predictions.cycles[cycle].slice().sort((p, q) => q[1] - p[1]);
-    for (const [, ahead, x, y, a, b, angle] of sets) {
+    for (const [, ahead, x, y, a, b, angle, weight, place] of sets) {
+      if (asPoints && place > 0) continue; // Without sets, the most likely component is left.
       const share = ahead / Math.max(predictions.offsets.length - 1, 1);
       const colour = ramp(palette, share);
       context.beginPath();
@@ -172,9 +173,10 @@ function drawSets(context, episode, step, layers, pixel, palette) {
       } else {
         context.ellipse(x, y, a, b, angle, 0, 2 * Math.PI);
         context.fillStyle = colour;
-        context.globalAlpha = 0.16;
+        const opacity = Math.sqrt(weight); // A component of little weight matters, too.
+        context.globalAlpha = 0.16 * opacity;
         context.fill();
-        context.globalAlpha = 0.9;
+        context.globalAlpha = 0.9 * opacity;
         context.strokeStyle = colour;
         context.lineWidth = pixel;
         context.stroke();

@@ -51,6 +51,9 @@ class PlanningFacts:
             was computed.
         waiting: Number of cycles by the reason why the ego stopped for a rule, in the planner's
             words; empty where it does not say.
+        unreachable: Why no goal could be reached any more at the last cycle, in the planner's words;
+            None where it does not say that.
+        unreachable_since: How long before the end it has said so in every cycle, s; None as above.
     """
 
     window: float
@@ -65,6 +68,8 @@ class PlanningFacts:
     fallbacks: dict[str, int]
     pressing: dict[int, int]
     waiting: dict[str, int]
+    unreachable: str | None
+    unreachable_since: float | None
 
     def lines(self) -> list[str]:
         """How planning went, in plain words."""
@@ -89,6 +94,11 @@ class PlanningFacts:
         if self.waiting:
             reasons = "; ".join(f"{reason} ({count})" for reason, count in self.waiting.items())
             out.append(f"rules for which the ego stopped (cycles): {reasons}")
+        if self.unreachable is not None:
+            out.append(
+                "the planner says that no goal can be reached, all of the last "
+                f"{self.unreachable_since:.1f} s: {self.unreachable}"
+            )
         known = [_STATUSES[word] for word in self.statuses if word in _STATUSES]
         return out + [f"{status.word}: {status.advice}" for status in known if status.failed]
 
@@ -129,6 +139,8 @@ def planning_facts(drive: Drive) -> PlanningFacts | None:
         entering = [bool(recording.slack[i] > SLACK_SEEN) for i in chosen]
     unbroken = sum(1 for _ in takewhile(bool, entering[::-1]))
     road_slack = recording.road_slack[chosen]
+    given_up = recording.unreachable[: int(chosen[-1]) + 1]
+    lost = sum(1 for _ in takewhile(bool, given_up[::-1]))
     return PlanningFacts(
         window=(end - int(steps[chosen[0]])) * dt,
         cycles=len(chosen),
@@ -146,6 +158,8 @@ def planning_facts(drive: Drive) -> PlanningFacts | None:
         ),
         pressing=dict(Counter(user for users in touched for user in users).most_common()),
         waiting=dict(Counter(reason for reason in waits if reason).most_common()),
+        unreachable=given_up[-1] if lost else None,
+        unreachable_since=(end - int(steps[chosen[-1] + 1 - lost])) * dt if lost else None,
     )
 
 

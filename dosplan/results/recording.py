@@ -97,6 +97,8 @@ class Recording:
             was, at the step of each cycle.
         waits_for: C reasons why the ego stops for a rule, empty where there is none; none at all
             where no plan has one.
+        unreachable: C reasons why no goal can be reached from there, empty where the plan names
+            none; none at all where no plan does.
 
     Raises:
         ValueError: Arrays do not fit each other, or what is no number is where one has to be.
@@ -134,6 +136,7 @@ class Recording:
     loop: str = "ideal"
     sightings: Sightings | None = None
     waits_for: tuple[str, ...] = ()
+    unreachable: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         steps, cycles = len(self.inputs), len(self.cycle_steps)
@@ -157,8 +160,9 @@ class Recording:
                 raise ValueError(f"{name} has shape {found}, expected {shape}")
         if len(self.active_ids) != cycles:
             raise ValueError(f"active_ids has {len(self.active_ids)} entries, expected {cycles}")
-        if len(self.waits_for) not in (0, cycles):
-            raise ValueError(f"waits_for has {len(self.waits_for)} entries, expected {cycles}")
+        for name in ("waits_for", "unreachable"):
+            if (count := len(getattr(self, name))) not in (0, cycles):
+                raise ValueError(f"{name} has {count} entries, expected {cycles}")
         for name in ("states", "inputs", "predict_seconds", "plan_seconds"):
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ValueError(f"{name} holds what is no number")
@@ -198,6 +202,7 @@ class Recording:
                 fallback=self.fallback[i] or None,
                 road_slack=float(np.nan_to_num(self.road_slack[i])),
                 waits_for=(self.waits_for[i] or None) if self.waits_for else None,
+                unreachable=(self.unreachable[i] or None) if self.unreachable else None,
             )
             for i in range(len(self.cycle_steps))
         )
@@ -240,6 +245,7 @@ class Recording:
         """
         reports = [plan.report for plan in episode.plans]
         waits_for = tuple(str(report.waits_for or "") for report in reports)
+        unreachable = tuple(str(report.unreachable or "") for report in reports)
         recording = cls(
             scenario_id=episode.scenario_id,
             arm=episode.arm,
@@ -263,6 +269,7 @@ class Recording:
             active_ids=tuple(tuple(int(i) for i in report.active_ids) for report in reports),
             fallback=tuple(str(report.fallback or "") for report in reports),
             waits_for=waits_for if any(waits_for) else (),
+            unreachable=unreachable if any(unreachable) else (),
             signals=episode.signals,
             plan_centres=_planned_centres(scenario, episode),
             **_kept_sets(episode),

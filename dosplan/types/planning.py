@@ -468,6 +468,8 @@ class SolveReport:
         road_slack: How far the plan leaves the road, as the planner itself computes it, m.
         waits_for: Why the ego stops, or will, in a few words, such as ``light 31``; None where no
             rule asks for it or the planner does not say.
+        unreachable: Why no goal can be reached from here, in a few words that say what is missing
+            and by how much; None where one can or the planner does not say.
     """
 
     status: SolveStatus = SolveStatus.NOT_OPTIMISED
@@ -478,6 +480,7 @@ class SolveReport:
     fallback: str | None = None
     road_slack: float = 0.0
     waits_for: str | None = None
+    unreachable: str | None = None
 
     def __post_init__(self) -> None:
         checks = (
@@ -493,6 +496,7 @@ class SolveReport:
             ("fallback", isinstance(self.fallback, str | None), "a name or None"),
             ("road_slack", _finite(self.road_slack), "a finite number"),
             ("waits_for", isinstance(self.waits_for, str | None), "a text or None"),
+            ("unreachable", isinstance(self.unreachable, str | None), "a text or None"),
         )
         for name, holds, wanted in checks:
             if not holds:

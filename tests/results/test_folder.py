@@ -404,7 +404,12 @@ def test_times_and_slacks_are_kept_exactly_and_those_of_older_files_are_read(
     path, third = tmp_path / "e.npz", 1.0 / 3.0
     episode = _episode(cycles=2)
     report = SolveReport(
-        SolveStatus.SOLVED, slack=third, road_slack=third, active_ids=(7,), waits_for="light 31"
+        SolveStatus.SOLVED,
+        slack=third,
+        road_slack=third,
+        active_ids=(7,),
+        waits_for="light 31",
+        unreachable="2.1 m short",
     )
     episode = replace(
         episode,

@@ -56,6 +56,7 @@ def test_arrays_are_read_only_and_the_given_ones_stay_writable() -> None:
         ("active_ids", [1]),
         ("active_ids", (1.5,)),
         ("fallback", True),
+        ("unreachable", False),
     ],
 )
 def test_report_names_the_field_that_is_no_such_thing(field: str, value: object) -> None:

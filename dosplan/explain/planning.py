@@ -51,8 +51,8 @@ class PlanningFacts:
             was computed.
         waiting: Number of cycles by the reason why the ego stopped for a rule, in the planner's
             words; empty where it does not say.
-        unreachable: Why no goal could be reached any more at the last cycle, in the planner's words;
-            None where it does not say that.
+        unreachable: Why no goal could be reached at the last cycle, in the planner's words; None
+            where it does not say that.
         unreachable_since: How long before the end it has said so in every cycle, s; None as above.
     """
 

@@ -45,6 +45,8 @@ from dosplan_mpc.stage import (
 )
 from dosplan_mpc.traffic import Lane, Traffic
 
+_ASTRAY = 0.02  # Distance off the road, unseen by a plan, from which on it is solved again, m.
+_FAR_ASTRAY = 0.5  # From which on its way is of no use, m.
 _SEEN = 1e-3  # Slack of a set from which on its road user is reported as active.
 
 
@@ -101,10 +103,25 @@ class _Scene:
 
 
 class _Attempt(NamedTuple):
-    """A solution and the sets that were its constraints."""
+    """A solution and what it is worth.
+
+    Attributes:
+        solution: What the solver found.
+        sets: The sets that were its constraints.
+        astray: How far it leaves the road where the edges beside its guess tell nothing of that, m.
+        cost: Its cost with the price of that. An iterate that is accepted may have slacks below
+            zero; they count as none.
+    """
 
     solution: Solution
     sets: ChosenSets
+    astray: float
+    cost: float
+
+    @property
+    def road_slack(self) -> float:
+        """How far the plan leaves the road, m."""
+        return max(float(self.solution.road_slack.max()), self.astray, 0.0)
 
 
 class MpcEpisode:
@@ -146,7 +163,7 @@ class MpcEpisode:
         )
         self._rules = StopRules(task, config.stops)
         self._road = Road(road_map, self._path, vehicle, self._half_width)
-        self._sampler = Sampler(config, vehicle, self._path, task.dt)
+        self._sampler = Sampler(config, vehicle, self._path, self._road, task.dt)
         self._arrivals = Arrivals(config.arrival, task, self._road.area, vehicle, self._sampler)
         self._arclength = float(self._path.locate(task.start[:2]))
         self._last: _LastCycle | None = None
@@ -163,7 +180,7 @@ class MpcEpisode:
         """
         scene = self._look(observation, occupancy)
         attempts, fallback = self._attempts(observation.step, scene)
-        best = min(attempts, key=lambda a: (not a.solution.usable, a.solution.cost))
+        best = min(attempts, key=lambda a: (not a.solution.usable, a.cost))
         report = _report(attempts, best, scene.reason)
         if not best.solution.usable and fallback is not None:
             self._last = None
@@ -259,7 +276,7 @@ class MpcEpisode:
         attempts: list[_Attempt] = []
         warm = None if last is None else self._warm_start(last, step)
         if warm is not None:
-            attempts.append(self._solve(scene, warm))
+            attempts += self._solve_on_road(scene, warm)
         due = last is None or last.cycles % self._config.resample_every == 0
         # Another line is another problem: the last plan may be on the wrong side of it.
         due = due or (last is not None and last.line != scene.line)
@@ -270,12 +287,15 @@ class MpcEpisode:
         bar = np.inf if warm is None else self._cost_of(warm, scene)
         better = cost < bar - max(settings.worth_it, settings.better * bar)
         if better or not _any_usable(attempts):
-            attempts.append(self._solve(scene, candidate))
+            attempts += self._solve_on_road(scene, candidate)
         return attempts, candidate
 
     def _best_candidate(self, scene: _Scene) -> tuple[Guess, float]:
         """The best sampled candidate and its cost."""
-        candidates = self._sampler.sample(scene.start, scene.ego, scene.profile)
+        return self._best_of(scene, self._sampler.sample(scene.start, scene.ego, scene.profile))
+
+    def _best_of(self, scene: _Scene, candidates: Candidates) -> tuple[Guess, float]:
+        """The best of some candidates and its cost."""
         costs = self._sampler.rate(candidates, scene.forbidden, scene.profile)
         best = int(np.argmin(costs))
         return candidates.guess(best), float(costs[best])
@@ -329,6 +349,27 @@ class MpcEpisode:
             line=line,
         )
 
+    def _solve_on_road(self, scene: _Scene, guess: Guess) -> list[_Attempt]:
+        """Solves from a guess, and once more where that leads off the road unseen.
+
+        The edges and the path of a plan are those beside its guess. A plan that goes elsewhere
+        (round a corner, from a guess that stands before it) may keep them all and not the road.
+        From a little off it is solved again where it is; what is far off is of use for its speed
+        alone, at which the path is followed.
+        """
+        attempt = self._solve(scene, guess)
+        if attempt.astray <= _ASTRAY or not attempt.solution.usable:
+            return [attempt]
+        again = self._as_guess(attempt.solution)
+        if attempt.astray > _FAR_ASTRAY:
+            again, _ = self._best_of(
+                scene,
+                self._sampler.at_speed(
+                    scene.start, scene.ego, scene.profile, again.states[:, EGO_VELOCITY]
+                ),
+            )
+        return [attempt, self._solve(scene, again)]
+
     def _solve(self, scene: _Scene, guess: Guess) -> _Attempt:
         """Solves the smallest problem that holds the sets near a guess.
 
@@ -356,7 +397,19 @@ class MpcEpisode:
         )
         # A slot may hold another road user than before: slacks are computed from the guess.
         problem = self._problems[near.slots]
-        return _Attempt(problem.solve(scene.start, stages, guess, near.slack()), near)
+        return self._attempt(problem.solve(scene.start, stages, guess, near.slack()), near)
+
+    def _attempt(self, solution: Solution, sets: ChosenSets) -> _Attempt:
+        """A solution with its price by the road itself."""
+        steps, spans = self._stage_steps, np.diff(self._stage_steps)
+        plan = self._as_guess(solution)
+        states, road_slack = plan.states[steps], solution.road_slack[steps[1:] - 1]
+        s, offset = self._path.project(states[:, :2], plan.arclength[steps])
+        outside = self._road.outside(states[None], s[None], offset[None])[0, 1:]
+        unseen = np.maximum(outside - np.maximum(road_slack, 0.0), 0.0)
+        more = self._config.road_penalty * (unseen - np.minimum(road_slack, 0.0))
+        more -= sets.price(np.minimum(solution.set_slack, 0.0))
+        return _Attempt(solution, sets, float(unseen.max()), solution.cost + float(spans @ more))
 
     def _reference(self, s: FloatArray, profile: SpeedProfile) -> Reference:
         """What the stages refer to, beside the arc lengths of a guess."""
@@ -384,7 +437,7 @@ def _report(attempts: list[_Attempt], best: _Attempt, reason: str | None) -> Sol
         iterations=sum(attempt.solution.iterations for attempt in attempts),
         seconds=sum(attempt.solution.seconds for attempt in attempts),
         slack=float(solution.set_slack.max()),
-        road_slack=max(float(solution.road_slack.max()), 0.0),
+        road_slack=best.road_slack,
         active_ids=tuple(i for i in touched if i != BARRIER_ID),
         waits_for=reason,
     )

@@ -195,6 +195,17 @@ class ChosenSets:
             slack[:, : len(self.ids)] = inside
         return slack
 
+    def price(self, slack: FloatArray) -> FloatArray:
+        """What slacks cost at each step.
+
+        Args:
+            slack: (T, M) slacks of a plan.
+
+        Returns:
+            (T,) costs.
+        """
+        return np.asarray((slack[:, : len(self.ids)] * self._sets.penalty.T).sum(axis=1))
+
     def touched(self, slack: FloatArray, least: float) -> tuple[int, ...]:
         """Ids of the road users whose sets a plan enters.
 

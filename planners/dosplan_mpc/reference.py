@@ -17,7 +17,9 @@ PATH_LEFT: Final = PATH_SIZE + 1
 """Further columns of the path's table: right and left edge, m, where they are narrowest nearby."""
 LANE_RIGHT: Final = PATH_SIZE + 2
 LANE_LEFT: Final = PATH_SIZE + 3
-"""The same where the edge is that of a lane against the path, which is road; elsewhere infinite."""
+"""The same where the edge is that of a lane against the path, which is road; else ``NO_EDGE``."""
+NO_EDGE: Final = 100.0
+"""Distance of an edge that is none, m."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ class LanePath(EvenPath):
         """
         right, left = _edges(route, settings)
         lanes = (
-            np.where(route.right > route.outer_right + _SAME_EDGE, right, -_NO_EDGE),
-            np.where(route.left < route.outer_left - _SAME_EDGE, left, _NO_EDGE),
+            np.where(route.right > route.outer_right + _SAME_EDGE, right, -NO_EDGE),
+            np.where(route.left < route.outer_left - _SAME_EDGE, left, NO_EDGE),
         )
         super().__init__(
             route.arclength,
@@ -85,7 +87,7 @@ class LanePath(EvenPath):
         inside = (self.arclength >= begin) & (self.arclength <= end)
         edge, lane = (PATH_LEFT, LANE_LEFT) if side > 0.0 else (PATH_RIGHT, LANE_RIGHT)
         self.table[inside, edge] = self._outer[int(side > 0.0)][inside]
-        self.table[inside, lane] = side * _NO_EDGE
+        self.table[inside, lane] = side * NO_EDGE
 
 
 def aligned_path(task: PlanningTask, settings: PathSettings) -> LanePath:
@@ -105,7 +107,6 @@ def aligned_path(task: PlanningTask, settings: PathSettings) -> LanePath:
 
 
 _SAME_EDGE: Final = 0.05
-_NO_EDGE: Final = 100.0
 
 
 def _edges(route: Route, settings: PathSettings) -> tuple[FloatArray, FloatArray]:

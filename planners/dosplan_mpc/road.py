@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 import shapely
 
-from dosplan.geometry import PATH_HEADING, PATH_SIZE, EvenPath, areas
+from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, PATH_SIZE, EvenPath, areas
 from dosplan.types import EGO_HEADING, BoolArray, FloatArray, RoadMap
 from dosplan.vehicle import VehicleParameters
-from dosplan_mpc.reference import LANE_LEFT, LANE_RIGHT, PATH_LEFT, PATH_RIGHT
+from dosplan_mpc.reference import LANE_LEFT, LANE_RIGHT, NO_EDGE, PATH_LEFT, PATH_RIGHT
 from dosplan_mpc.shape import STATIONS, station_offsets
 from dosplan_mpc.stage import Edge, Station
 
@@ -24,6 +24,8 @@ REACH: Final = 12.0
 """An edge farther from the ego than this bounds nothing, m."""
 _SIMPLER: Final = 0.01  # m; how far simplified edges may be off.
 _UPRIGHT: Final = 1e-9  # m; a length along the ego's axis that is none.
+_ACROSS: Final = 0.87  # Sine of the angle to the path from which on an edge lies across it.
+_SMALLEST_SHRINK: Final = 0.3  # Of 1 - kappa d: near a bend's centre, arc lengths are undefined.
 
 _MIDDLE: Final = STATIONS // 2
 _SIDES: Final = (-1.0, 1.0)
@@ -82,7 +84,9 @@ class Road:
         edges = shapely.boundary(self.area).difference(near.boundary.buffer(0.1))
         points, line = shapely.get_coordinates(shapely.get_parts(edges), return_index=True)
         same = line[1:] == line[:-1]
-        self._edges = np.stack([points[:-1][same], points[1:][same]], axis=1)
+        edges = np.stack([points[:-1][same], points[1:][same]], axis=1)
+        self._edges = edges[~_ends_of_road(edges, path)]
+        self._paved = shapely.contains_xy(self.area, path.points)
         self._tree = shapely.STRtree(shapely.linestrings(self._edges))
 
     def beside(
@@ -138,6 +142,98 @@ class Road:
             )
         return Station(right=edges[0], left=edges[1])
 
+    def outside(self, states: FloatArray, arclength: FloatArray, offset: FloatArray) -> FloatArray:
+        """How far the ego's outline reaches beyond the road's edges, and those of lanes against it.
+
+        The same edges bound a plan, see ``beside``; here they are met wherever the ego is.
+
+        Args:
+            states: (C, K, 5 or more) states of C trajectories.
+            arclength: (C, K) their arc lengths, m.
+            offset: (C, K) their lateral offsets from the path, m.
+
+        Returns:
+            (C, K) m; zero on the road.
+        """
+        row = self._path.at(arclength)
+        turn = states[..., EGO_HEADING] - row[..., PATH_HEADING]
+        half, middle = self._half_width, float(self._stations[_MIDDLE])
+        heading = states[..., EGO_HEADING]
+        axis = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        if len(states) == 1:  # One trajectory at once, many step by step: few edges are near.
+            closest = self._closest(states[0, :, :2], axis[0])[None]
+        else:
+            closest = np.stack(
+                [self._closest(states[:, k, :2], axis[:, k]) for k in range(states.shape[1])],
+                axis=1,
+            )
+        outside = np.asarray(half - closest)
+        centre = states[..., :2] + middle * axis
+        off_road = ~shapely.contains_xy(self.area, centre[..., 0], centre[..., 1])
+        off_road &= self._is_paved(arclength + middle)
+        if off_road.any():
+            beyond = self._beyond(arclength, offset, turn, row, middle, (PATH_RIGHT, PATH_LEFT))
+            outside = np.where(off_road, half + np.maximum(beyond, 0.0), outside)
+        if np.any(np.abs(row[..., [LANE_RIGHT, LANE_LEFT]]) < NO_EDGE):
+            for ahead in (self._stations[0], self._stations[-1]):
+                beyond = self._beyond(arclength, offset, turn, row, ahead, (LANE_RIGHT, LANE_LEFT))
+                outside = np.maximum(outside, beyond + half)
+        return outside
+
+    def _beyond(
+        self,
+        arclength: FloatArray,
+        offset: FloatArray,
+        turn: FloatArray,
+        row: FloatArray,
+        ahead: float,
+        columns: tuple[int, int],
+    ) -> FloatArray:
+        """(C, K) how far a point of the ego's axis is beyond two columns of the path's table, m.
+
+        The path is an arc: over a way l along it, it bends aside by kappa l^2 / 2.
+        """
+        right, left = columns
+        curvature, along = row[..., PATH_CURVATURE], ahead * np.cos(turn)
+        there = offset + ahead * np.sin(turn) - 0.5 * curvature * along**2
+        shrink = np.maximum(1.0 - curvature * offset, _SMALLEST_SHRINK)
+        beside = self._path.at(arclength + along / shrink)
+        return np.asarray(np.maximum(there - beside[..., left], beside[..., right] - there))
+
+    def _closest(self, places: FloatArray, axis: FloatArray) -> FloatArray:
+        """(K,) how near an edge beside the ego's length comes to its axis, up to half its width.
+
+        Args:
+            places: (K, 2) rear axles, m.
+            axis: (K, 2) directions of the ego's axis.
+        """
+        begin, end = self._stations[0], self._stations[-1]
+        edges = self._edges_within(places, end + self._half_width)
+        if not len(edges):
+            return np.full(len(places), self._half_width)
+        u, w = _seen_from(places, axis, edges)
+        step = u[..., 1] - u[..., 0]
+        upright = np.abs(step) < _UPRIGHT
+        slope = np.where(upright, 0.0, w[..., 1] - w[..., 0]) / np.where(upright, 1.0, step)
+        clipped = np.clip(u, begin, end)
+        aside = np.where(
+            upright[..., None], w, w[..., :1] + slope[..., None] * (clipped - u[..., :1])
+        )
+        closest = np.minimum(np.abs(aside[..., 0]), np.abs(aside[..., 1]))
+        closest = np.where(aside[..., 0] * aside[..., 1] <= 0.0, 0.0, closest)
+        met = (u.min(axis=-1) <= end) & (u.max(axis=-1) >= begin)
+        return np.asarray(np.where(met, closest, np.inf).min(axis=1).clip(max=self._half_width))
+
+    def _is_paved(self, arclength: FloatArray) -> BoolArray:
+        """Whether the path is on the road at arc lengths; it goes on beyond the road's end."""
+        nearest = np.rint(arclength / self._path.length * (len(self._paved) - 1)).astype(np.int64)
+        return np.asarray(self._paved[np.clip(nearest, 0, len(self._paved) - 1)])
+
+    def _edges_within(self, places: FloatArray, reach: float) -> FloatArray:
+        """(E, 2, 2) the edges near some places, by their boxes."""
+        low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+        return np.asarray(self._edges[self._tree.query(shapely.box(*low, *high))])
+
     def _lines(
         self, states: FloatArray, axis: FloatArray, side: float, edge: _Nearest
     ) -> FloatArray:
@@ -164,8 +260,7 @@ class Road:
         Returns:
             Those to the right and to the left, and (K, STATIONS) whether an edge crosses the axis.
         """
-        low, high = places.min(axis=0) - REACH, places.max(axis=0) + REACH
-        edges = self._edges[self._tree.query(shapely.box(*low, *high))]
+        edges = self._edges_within(places, REACH)
         shape, rows = (len(places), len(self._parts)), np.arange(len(places))
         found = [
             _Nearest(np.full(shape, REACH), np.tile(self._stations, (shape[0], 1)), np.zeros(shape))
@@ -174,10 +269,7 @@ class Road:
         crossed = np.zeros(shape, dtype=np.bool_)
         if not len(edges):
             return (found[0], found[1]), crossed
-        to_edge = edges - places[:, None, None]  # (K, E, 2 ends, 2)
-        cos, sin = axis[:, 0, None, None], axis[:, 1, None, None]
-        u = cos * to_edge[..., 0] + sin * to_edge[..., 1]
-        w = cos * to_edge[..., 1] - sin * to_edge[..., 0]
+        u, w = _seen_from(places, axis, edges)
         step = u[..., 1] - u[..., 0]
         # An edge along the normal is met over all of its length.
         upright = (np.abs(step) < _UPRIGHT)[..., None]
@@ -202,3 +294,23 @@ class Road:
                 edge.ahead[:, i] = np.where(seen, place, edge.ahead[:, i])
                 edge.turned[:, i] = np.where(seen & ~corner, turned[rows, nearest // 2], 0.0)
         return (found[0], found[1]), crossed
+
+
+def _seen_from(
+    places: FloatArray, axis: FloatArray, edges: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(K, E, 2) where the ends of edges are ahead of the ego's rear axle and to its left, m."""
+    to_edge = edges - places[:, None, None]  # (K, E, 2 ends, 2)
+    cos, sin = axis[:, 0, None, None], axis[:, 1, None, None]
+    ahead = cos * to_edge[..., 0] + sin * to_edge[..., 1]
+    return ahead, cos * to_edge[..., 1] - sin * to_edge[..., 0]
+
+
+def _ends_of_road(edges: FloatArray, path: EvenPath) -> BoolArray:
+    """(E,) whether edges lie across the path: the road ends there, which the speed sees to."""
+    lines = shapely.linestrings(edges)
+    along = edges[:, 1] - edges[:, 0]
+    direction = np.arctan2(along[:, 1], along[:, 0])
+    heading = path.heading_at(path.locate(edges.mean(axis=1)))
+    across = np.abs(np.sin(direction - heading)) > _ACROSS
+    return np.asarray(across & shapely.intersects(lines, shapely.LineString(path.points)))

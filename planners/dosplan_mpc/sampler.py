@@ -21,7 +21,8 @@ from dosplan_mpc.limits import grip, half_width
 from dosplan_mpc.nlp import Guess
 from dosplan_mpc.obstacles import ForbiddenSets
 from dosplan_mpc.reference import PATH_LEFT, PATH_RIGHT, EgoOnPath
-from dosplan_mpc.shape import disc_offsets, station_offsets
+from dosplan_mpc.road import Road
+from dosplan_mpc.shape import disc_offsets
 from dosplan_mpc.speed_profile import SpeedProfile
 from dosplan_mpc.stage import (
     ACCELERATION,
@@ -111,7 +112,12 @@ class Sampler:
     """Makes and rates candidates."""
 
     def __init__(
-        self, config: MpcConfig, vehicle: VehicleParameters, path: EvenPath, dt: float
+        self,
+        config: MpcConfig,
+        vehicle: VehicleParameters,
+        path: EvenPath,
+        road: Road,
+        dt: float,
     ) -> None:
         """Keeps what does not change during an episode.
 
@@ -119,14 +125,15 @@ class Sampler:
             config: Settings.
             vehicle: The ego.
             path: Reference path.
+            road: The road's edges, which candidates are rated by.
             dt: Step, s.
         """
         self._config = config
         self._vehicle = vehicle
         self._path = path
+        self._road = road
         self._dt = dt
         self._discs, _ = disc_offsets(vehicle, config.discs)
-        self._stations = station_offsets(vehicle)
         self._half_width = half_width(config, vehicle)
         self._grip = grip(config, vehicle)
 
@@ -154,8 +161,29 @@ class Sampler:
         Returns:
             The candidates.
         """
+        return self._combine(start, ego, profile, self._speeds(start[EGO_VELOCITY], profile))
+
+    def at_speed(
+        self, start: FloatArray, ego: EgoOnPath, profile: SpeedProfile, speed: FloatArray
+    ) -> Candidates:
+        """Samples of one speed over time, such as that of a plan which left the road.
+
+        Args:
+            start: (6,) present state.
+            ego: Where that is on the path.
+            profile: Reference of the next steps.
+            speed: (N + 1,) m/s.
+
+        Returns:
+            The candidates.
+        """
+        return self._combine(start, ego, profile, speed[None])
+
+    def _combine(
+        self, start: FloatArray, ego: EgoOnPath, profile: SpeedProfile, speeds: FloatArray
+    ) -> Candidates:
+        """Every combination of speeds, lateral targets and lengths."""
         settings = self._config.sampler
-        speeds = self._speeds(start[EGO_VELOCITY], profile)
         targets = self._targets(ego, float(profile.offset[-1]))
         fastest = max(start[EGO_VELOCITY], float(profile.velocity[-1]))
         lengths = np.maximum(
@@ -300,17 +328,10 @@ class Sampler:
 
     def _outside(self, candidates: Candidates, profile: SpeedProfile) -> FloatArray:
         """(C, N + 1) how far the ego reaches beyond the road's edges or those of a goal, m."""
-        row = self._path.at(candidates.arclength)
-        turn = candidates.states[..., EGO_HEADING] - row[..., PATH_HEADING]
+        states, arclength = candidates.states, candidates.arclength
+        outside = self._road.outside(states, arclength, candidates.offset)
+        turn = states[..., EGO_HEADING] - self._path.at(arclength)[..., PATH_HEADING]
         slope = np.tan(np.clip(turn, -_STEEPEST_RATED, _STEEPEST_RATED))
-        half = self._half_width
-        outside = np.zeros(candidates.offset.shape)
-        for ahead in self._stations:
-            beside = self._path.at(candidates.arclength + ahead)
-            # The ego's axis is a tangent; the path bends away from it by kappa l^2 / 2.
-            offset = candidates.offset + ahead * slope - 0.5 * row[..., PATH_CURVATURE] * ahead**2
-            outside = np.maximum(outside, offset + half - beside[..., PATH_LEFT])
-            outside = np.maximum(outside, beside[..., PATH_RIGHT] - offset + half)
         middle = candidates.offset + self._vehicle.rear_to_centre * slope
         outside = np.maximum(outside, middle - profile.left)
         return np.asarray(np.maximum(outside, profile.right - middle))

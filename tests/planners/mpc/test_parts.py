@@ -19,6 +19,7 @@ from dosplan_mpc.obstacles import (
     superellipse_axes,
 )
 from dosplan_mpc.reference import PATH_LEFT, EgoOnPath, LanePath
+from dosplan_mpc.road import Road
 from dosplan_mpc.sampler import Sampler
 from dosplan_mpc.shape import disc_offsets
 from dosplan_mpc.speed_profile import (
@@ -37,7 +38,15 @@ from shapely.geometry import box
 from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath, rectangle_corners
 from dosplan.scenario.synthetic import steady_tracks, straight_route, straight_scenario
 from dosplan.simulation.world import World
-from dosplan.types import FloatArray, GoalState, Occupancy, PlanningTask, Route, SolveStatus
+from dosplan.types import (
+    FloatArray,
+    GoalState,
+    Occupancy,
+    PlanningTask,
+    RoadMap,
+    Route,
+    SolveStatus,
+)
 from dosplan.vehicle import VehicleParameters
 from tests.planners.mpc.roads import straight_stages
 
@@ -71,6 +80,13 @@ def speed_planner(
     """With a speed limit all along."""
     legal = LegalSpeed(np.zeros(1), np.full(1, min(limit, 100.0)))
     return SpeedPlanner(config, VEHICLE, path, windows, legal, DT)
+
+
+def road_along(path: EvenPath) -> Road:
+    """A road of 5 m to both sides of the path along +x."""
+    low, high = path.points.min(axis=0) - 5.0, path.points.max(axis=0) + 5.0
+    half = VEHICLE.width / 2.0 + CONFIG.road_margin
+    return Road(RoadMap((), box(*low, *high)), path, VEHICLE, half)
 
 
 def free_profile(path: EvenPath) -> SpeedProfile:
@@ -482,7 +498,8 @@ def test_a_lane_beside_is_as_wide_as_the_settings_say() -> None:
     start, ego = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), EgoOnPath(0, 20.0, 0.0, 21.42, 10.0)
     for lane in (2.0, 3.0):
         config = replace(CONFIG, sampler=SamplerSettings(lane=lane, accelerations=(0.0,)))
-        candidates = Sampler(config, VEHICLE, path, DT).sample(start, ego, free_profile(path))
+        sampler = Sampler(config, VEHICLE, path, road_along(path), DT)
+        candidates = sampler.sample(start, ego, free_profile(path))
         # Two speeds, six targets, two lengths; the third target is the lane to the left, and the
         # longer way to it is 30 m.
         assert len(candidates.states) == 24
@@ -494,7 +511,7 @@ def test_a_lane_beside_is_as_wide_as_the_settings_say() -> None:
 
 def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
     path = path_of(straight_route())
-    sampler, profile = Sampler(CONFIG, VEHICLE, path, DT), free_profile(path)
+    sampler, profile = Sampler(CONFIG, VEHICLE, path, road_along(path), DT), free_profile(path)
     start = np.array([0.0, 0.2, 0.0, 10.0, 0.05, 0.0])
     candidates = sampler.sample(start, EgoOnPath(0, 20.0, 0.2, 21.42, 10.0), profile)
     assert np.all(candidates.states[:, 0] == start)
@@ -509,7 +526,7 @@ def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
 
 def test_rating_prefers_the_free_side() -> None:
     path = path_of(straight_route())
-    sampler, profile = Sampler(CONFIG, VEHICLE, path, DT), free_profile(path)
+    sampler, profile = Sampler(CONFIG, VEHICLE, path, road_along(path), DT), free_profile(path)
     start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
     candidates = sampler.sample(start, EgoOnPath(0, 20.0, 0.0, 21.42, 10.0), profile)
     _, radius = disc_offsets(VEHICLE, CONFIG.discs)

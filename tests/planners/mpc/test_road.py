@@ -217,3 +217,61 @@ def test_another_road_that_just_touches_the_stretch_that_is_looked_at_is_none_of
     along_path, other = shapely.box(-100.0, -3.0, 100.0, 3.0), (-50.0, border, 50.0, border + 3.0)
     road = road_of(shapely.MultiPolygon([along_path, shapely.box(*other)]))
     assert road.area.equals(road_of(along_path).area)
+
+
+# How far the ego's outline reaches beyond the edges
+
+
+def outside(road: Road, *states: FloatArray) -> FloatArray:
+    """(C,) of egos at one time each, beside the path along y = 0 from x = -50 m on."""
+    together = np.stack(states)
+    return road.outside(together, together[..., 0] + 50.0, together[..., 1])[:, 0]
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    area=roads(),
+    heading=st.floats(-0.5, 0.5),
+    y=st.floats(-3.5, 3.5),
+    x=st.floats(-6.0, 6.0),
+)
+def test_outside_is_zero_just_where_the_road_covers_the_outline(
+    area: shapely.Geometry, heading: float, x: float, y: float
+) -> None:
+    state = state_at(x, y, heading)
+    reaches = float(outside(road_of(area), state)[0])
+    ego = outline(state)
+    if area.buffer(-0.02).covers(ego):
+        assert reaches == 0.0
+    if not area.buffer(0.02).covers(ego):
+        assert reaches > 0.0
+
+
+def test_outside_says_how_far_and_one_state_as_many() -> None:
+    road = road_of(STRAIGHT)
+    egos = [state_at(0.0, y, 0.0) for y in (0.0, 2.0, 2.6, -3.5, 7.0)]
+    expected = [0.0, 0.0, 0.6 - (1.0 - HALF), 0.5 + HALF, 4.0 + HALF]
+    np.testing.assert_allclose(outside(road, *egos), expected, atol=1e-6)
+    for ego, reaches in zip(egos, expected, strict=True):
+        np.testing.assert_allclose(outside(road, ego), reaches, atol=1e-6)
+
+
+def test_a_corner_that_reaches_into_the_outline_between_its_ends_is_outside() -> None:
+    wedge = shapely.Polygon([(0.3, -0.7), (0.5, -3.0), (0.1, -3.0)])
+    reaches = outside(road_of(STRAIGHT - wedge), state_at(0.0, 0.0, 0.0), state_at(5.0, 0.0, 0.0))
+    np.testing.assert_allclose(reaches, [HALF - 0.7, 0.0], atol=1e-6)
+
+
+def test_the_end_of_the_road_across_the_path_is_none_of_its_sides() -> None:
+    road = road_of(shapely.box(-50.0, -3.0, 10.0, 3.0))
+    reaches = outside(road, state_at(10.0, 0.0, 0.0), state_at(14.0, 0.0, 0.0))
+    np.testing.assert_array_equal(reaches, 0.0)
+
+
+def test_a_lane_against_the_route_is_outside_until_it_is_opened() -> None:
+    path = path_of(straight_route(left=1.5, outer_left=6.0))
+    road = road_of(shapely.box(-50.0, -3.0, 50.0, 6.0), path)
+    state = state_at(0.0, 1.5, 0.0)
+    np.testing.assert_allclose(outside(road, state), HALF, atol=1e-6)
+    path.open(30.0, 70.0, 1.0)
+    np.testing.assert_array_equal(outside(road, state), 0.0)

@@ -1,4 +1,4 @@
-"""``frenetix-v1``: Frenetix, a sampling planner in a Frenet frame with a core in C++.
+"""``frenetix-v2``: Frenetix, a sampling planner in a Frenet frame with a core in C++.
 
 Trauth, Moller, Wuersching, Betz, "FRENETIX: A High-Performance and Modular Motion Planning
 Framework for Autonomous Driving", IEEE Access 12, 2024.
@@ -30,6 +30,7 @@ from dosplan.types import (
     EGO_HEADING,
     EGO_STEERING,
     EGO_VELOCITY,
+    STEP_SECONDS,
     FloatArray,
     GoalState,
     Observation,
@@ -39,13 +40,14 @@ from dosplan.types import (
 )
 from dosplan.vehicle import VehicleParameters
 from dosplan_peers import INSTALL
-from dosplan_peers.peer import Peer, Trajectory
+from dosplan_peers.peer import Peer, Stop, Trajectory
 from dosplan_peers.world import (
     commonroad_scenario,
     moving_rectangles,
     reference_path,
     swept,
     time_variant,
+    wall,
 )
 
 try:
@@ -80,6 +82,9 @@ WEIGHTS: Final[Mapping[str, float]] = MappingProxyType(
         "prediction": 200.0,
     }
 )
+STOP_WEIGHT: Final = 5.0
+"""How many times as much the velocity counts where it has to stop. Planned anew at every step, its
+trajectories of 1.1 s and more brake late for a wall."""
 
 # Columns of a row of samples.
 _DURATION, _END_VELOCITY, _END_OFFSET = 1, 5, 10
@@ -88,7 +93,9 @@ _DURATION, _END_VELOCITY, _END_OFFSET = 1, 5, 10
 class FrenetixPlanner(Peer):
     """Frenetix."""
 
-    name = "frenetix-v1"
+    name = "frenetix-v2"
+    delay = 2.0
+    look_ahead = plan_steps = round(HORIZON / STEP_SECONDS)
 
     def build(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
         """Prepares the Frenet frame, the road's edge and the way to the goal.
@@ -112,6 +119,7 @@ class FrenetixPlanner(Peer):
         occupancy: Occupancy,
         acceleration: float,
         frenet: FloatArray | None,
+        stop: Stop | None,
     ) -> Trajectory:
         """Samples trajectories and takes the cheapest that is feasible and free of collisions.
 
@@ -120,6 +128,7 @@ class FrenetixPlanner(Peer):
             occupancy: The sets to keep out of.
             acceleration: The ego's acceleration now, m/s2.
             frenet: (6,) the ego's state in the Frenet frame, or None where it is not known.
+            stop: Where it has to stop, or None.
 
         Returns:
             The trajectory; where all collide, the one that stops soonest.
@@ -139,13 +148,15 @@ class FrenetixPlanner(Peer):
         else:
             start = frenetix.CurvilinearPlannerState(frenet[:3].copy(), frenet[3:].copy())
 
-        handler = self._handler(observation, occupancy, slow)
+        handler = self._handler(observation, occupancy, slow, stop)
         handler.generate_trajectories(_samples(start, velocity, self._vehicle), slow)
         handler.evaluate_all_current_functions(True)
         feasible = [sample for sample in handler.get_sorted_trajectories() if sample.feasible]
 
         steps = round(HORIZON / observation.dt)
         obstacles = [swept(o) for o in moving_rectangles(occupancy, observation.step, steps)]
+        if stop is not None:
+            obstacles.append(wall(stop, observation.step, steps))
         free = (s for s in feasible if self._is_free(s, observation.step, obstacles))
         if (best := next(free, None)) is not None:
             return self._trajectory(best)
@@ -160,7 +171,9 @@ class FrenetixPlanner(Peer):
         offset = float(start.x0_lat[0])
         return self._trajectory(min(feasible, key=lambda s: _stopping(s, offset)), "stopping")
 
-    def _handler(self, observation: Observation, occupancy: Occupancy, slow: bool) -> Any:
+    def _handler(
+        self, observation: Observation, occupancy: Occupancy, slow: bool, stop: Stop | None
+    ) -> Any:
         """A handler with the checks and costs of this cycle."""
         vehicle, ego = self._vehicle, observation.ego
         handler = frenetix.TrajectoryHandler(observation.dt)
@@ -182,6 +195,10 @@ class FrenetixPlanner(Peer):
             handler.add_feasability_function(check)
         handler.add_function(FillCoordinates(slow, ego[EGO_HEADING], self._frame, HORIZON))
         desired = self._desired_velocity(observation)
+        weights = dict(WEIGHTS)
+        if stop is not None:
+            desired = min(desired, stop.velocity)
+            weights["velocity_offset"] *= STOP_WEIGHT
         for name, kind, arguments in (
             ("lateral_jerk", costs.CalculateLateralJerkCost, ()),
             ("longitudinal_jerk", costs.CalculateLongitudinalJerkCost, ()),
@@ -197,7 +214,7 @@ class FrenetixPlanner(Peer):
                 (_predictions(occupancy), vehicle.length, vehicle.width),
             ),
         ):
-            handler.add_cost_function(kind(name, WEIGHTS[name], *arguments))
+            handler.add_cost_function(kind(name, weights[name], *arguments))
         return handler
 
     def _desired_velocity(self, observation: Observation) -> float:

@@ -3,19 +3,25 @@
 Peers plan in a Frenet frame along the path. As in their own scripts, a cycle begins with the state
 in that frame that the last trajectory has for this step: to project the ego at every step would add
 the errors of their projection in bends. Only where the ego is elsewhere is it projected. Its
-acceleration is then that of the last trajectory, since an ego state of dosplan holds none; the
-first is zero, as with the peers.
+acceleration, which no ego state of dosplan holds, is then that of its last step; the first is zero,
+as with the peers.
+
+No peer knows lights, stop lines or signs, but each drives at a desired velocity that it is given,
+and keeps clear of what stands. So dosplan's ``StopRules`` decide where the ego has to stop, as they
+do for ``idm`` and ``mpc``; the desired velocity is limited to what comes to zero there, and a wall
+stands there.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from dosplan.api import Planner
+from dosplan.geometry import ReferencePath, StopRules, StopSettings
 from dosplan.types import (
     EGO_STEERING,
     EGO_VELOCITY,
@@ -30,6 +36,36 @@ from dosplan.types import (
 from dosplan.vehicle import VehicleParameters
 
 ON_PLAN: Final = 0.01  # m; how far the ego may be from its last trajectory.
+BRAKING: Final = 1.5  # m/s2; with which the desired velocity falls before a stop.
+WALL: Final = (0.5, 12.0)  # Length and width of the wall at a stop, m: no sample goes round it.
+
+
+@dataclass(frozen=True)
+class PeerSettings:
+    """The options that all peers share.
+
+    Attributes:
+        rules: Whether it stops for lights, signs and crosswalks; the published planners do not.
+        stops: When it does so.
+    """
+
+    rules: bool = True
+    stops: StopSettings = StopSettings()
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A place that the ego must not pass now.
+
+    Attributes:
+        velocity: Largest velocity to be desired now, m/s.
+        centre: (2,) centre of a wall across the road whose face is at the place, m.
+        heading: Heading of the path there, rad.
+    """
+
+    velocity: float
+    centre: FloatArray
+    heading: float
 
 
 @dataclass(frozen=True)
@@ -55,13 +91,36 @@ class Trajectory:
 
 
 class Peer(Planner):
-    """A third-party planner."""
+    """A third-party planner.
+
+    A subclass assigns ``look_ahead`` and ``plan_steps``: how far it checks for collisions, and how
+    long its trajectories are.
+
+    Attributes:
+        delay: How long after a desired velocity it has it, s: it begins to brake earlier by so
+            much where it has to stop.
+    """
+
+    settings = PeerSettings
+    delay: ClassVar[float]
+
+    def __init__(self, *, seed: int = 0, settings: Any = PeerSettings()) -> None:
+        """Keeps the settings.
+
+        Args:
+            seed: Seed of the run; no peer draws anything at random.
+            settings: The options, a ``PeerSettings``.
+        """
+        super().__init__(seed=seed, settings=settings)
+        self._settings: PeerSettings = settings
 
     def prepare(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
         """Forgets the last trajectory and prepares the peer."""
         self._vehicle = vehicle
         self._last: Trajectory | None = None
         self._last_step = task.start_step
+        self._path = ReferencePath.of(task.route)
+        self._rules = StopRules(task, self._settings.stops) if self._settings.rules else None
         self.build(task, road_map, vehicle)
 
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
@@ -80,12 +139,34 @@ class Peer(Planner):
         acceleration, frenet = 0.0, None
         if self._last is not None:
             now = min(observation.step - self._last_step, len(self._last.acceleration) - 1)
-            acceleration = float(self._last.acceleration[now])
             if np.hypot(*(self._last.position[now] - observation.ego[:2])) < ON_PLAN:
-                frenet = self._last.frenet[now]
-        found = self.find(observation, occupancy, acceleration, frenet)
+                acceleration, frenet = float(self._last.acceleration[now]), self._last.frenet[now]
+            else:
+                before, after = observation.ego_history[-2:, EGO_VELOCITY]
+                acceleration = float(after - before) / observation.dt
+        wait, stop = None, None
+        if self._rules is not None:
+            centre = float(self._path.locate(self._vehicle.centre(observation.ego)))
+            front = centre + 0.5 * self._vehicle.length
+            wait = self._rules.wait(observation, occupancy, front)
+            if wait is not None:
+                way = wait.place - front - self.delay * float(observation.ego[EGO_VELOCITY])
+                stop = self._stop(wait.place, way)
+        found = self.find(observation, occupancy, acceleration, frenet, stop)
         self._last, self._last_step = found, observation.step
-        return follow(observation.ego, found, self._vehicle, observation.dt)
+        plan = follow(observation.ego, found, self._vehicle, observation.dt)
+        if wait is None:
+            return plan
+        return replace(plan, report=replace(plan.report, waits_for=wait.reason))
+
+    def _stop(self, place: float, way: float) -> Stop:
+        """A stop at an arc length of the route, m, with so much way left to brake in, m."""
+        s, points = self._path.arclength, self._path.points
+        heading = float(self._path.heading_at(place))
+        face = np.array([np.interp(place, s, points[:, axis]) for axis in (0, 1)])
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        velocity = float(np.sqrt(2.0 * BRAKING * max(way, 0.0)))
+        return Stop(velocity, face + 0.5 * WALL[0] * ahead, heading)
 
     @abstractmethod
     def build(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
@@ -104,6 +185,7 @@ class Peer(Planner):
         occupancy: Occupancy,
         acceleration: float,
         frenet: FloatArray | None,
+        stop: Stop | None,
     ) -> Trajectory:
         """Searches a trajectory.
 
@@ -113,6 +195,7 @@ class Peer(Planner):
             acceleration: The ego's acceleration now, m/s2.
             frenet: (6,) the ego's state in the Frenet frame by the last trajectory, see
                 ``Trajectory``, or None where it has to be projected.
+            stop: Where a rule asks for a stop, or None.
 
         Returns:
             The trajectory.

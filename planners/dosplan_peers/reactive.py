@@ -1,4 +1,4 @@
-"""``reactive-v1``: CommonRoad's reactive planner, a sampling planner in a Frenet frame.
+"""``reactive-v2``: CommonRoad's reactive planner, a sampling planner in a Frenet frame.
 
 Wuersching, Pek et al., https://github.com/CommonRoad/commonroad-reactive-planner, after Werling
 et al., "Optimal trajectory generation for dynamic street scenarios in a Frenet frame", ICRA 2010.
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 
@@ -30,8 +31,8 @@ from dosplan.types import (
 )
 from dosplan.vehicle import VehicleParameters
 from dosplan_peers import INSTALL
-from dosplan_peers.peer import Peer, Trajectory
-from dosplan_peers.world import commonroad_scenario, moving_rectangles, reference_path
+from dosplan_peers.peer import Peer, PeerSettings, Stop, Trajectory
+from dosplan_peers.world import commonroad_scenario, moving_rectangles, reference_path, wall
 
 try:
     from commonroad.common.util import Interval
@@ -47,8 +48,12 @@ except ImportError as error:
     raise ImportError(f"{error}; {INSTALL}") from error
 
 
+OVER_LINE: Final = "over the line"
+_MOVES: Final = 1e-6  # m/s
+
+
 @dataclass(frozen=True)
-class ReactiveSettings:
+class ReactiveSettings(PeerSettings):
     """The options of the reactive planner.
 
     Attributes:
@@ -65,8 +70,9 @@ class ReactiveSettings:
 class CommonRoadReactivePlanner(Peer):
     """CommonRoad's reactive planner."""
 
-    name = "reactive-v1"
+    name = "reactive-v2"
     settings = ReactiveSettings
+    delay = 0.5
 
     def __init__(self, *, seed: int = 0, settings: ReactiveSettings = ReactiveSettings()) -> None:
         """Keeps the horizon.
@@ -76,7 +82,7 @@ class CommonRoadReactivePlanner(Peer):
             settings: The options.
         """
         super().__init__(seed=seed, settings=settings)
-        self._horizon = settings.horizon
+        self._horizon = self.look_ahead = self.plan_steps = settings.horizon
 
     def build(self, task: PlanningTask, road_map: RoadMap, vehicle: VehicleParameters) -> None:
         """Makes a planner with the road's edge as its only obstacle.
@@ -106,6 +112,7 @@ class CommonRoadReactivePlanner(Peer):
         occupancy: Occupancy,
         acceleration: float,
         frenet: FloatArray | None,
+        stop: Stop | None,
     ) -> Trajectory:
         """Samples trajectories and takes the cheapest that is feasible and free of collisions.
 
@@ -114,6 +121,7 @@ class CommonRoadReactivePlanner(Peer):
             occupancy: The sets to keep out of.
             acceleration: The ego's acceleration now, m/s2.
             frenet: (6,) the ego's state in the Frenet frame, or None where it is not known.
+            stop: Where it has to stop, or None.
 
         Returns:
             The trajectory.
@@ -124,6 +132,40 @@ class CommonRoadReactivePlanner(Peer):
         checker = self._road.clone()
         for obstacle in moving_rectangles(occupancy, observation.step, self._horizon):
             checker.add_collision_object(obstacle)
+        if stop is None:
+            found, fallback = self._search(observation, checker, acceleration, frenet, np.inf), None
+        else:
+            walled = checker.clone()
+            walled.add_collision_object(wall(stop, observation.step, self._horizon))
+            given = acceleration, frenet, stop.velocity
+            found, fallback = self._search(observation, walled, *given), None
+            if found is None:
+                # Its samples brake by 3 m/s at most, which may be too little for a wall: that is
+                # no reason to give up, but one to brake as it can.
+                found, fallback = self._search(observation, checker, *given), OVER_LINE
+        if found is None:
+            raise NoPlanError("no sampled trajectory is feasible and free of collisions")
+        states = found[0].state_list
+        # Where it stands, the last step lacks; it is driven as the one before.
+        rows = np.minimum(np.arange(self._horizon + 1), len(states) - 1)
+        return Trajectory(
+            steering=np.array([state.steering_angle for state in states])[rows],
+            velocity=np.array([state.velocity for state in states])[rows],
+            acceleration=np.array([state.acceleration for state in states])[rows],
+            position=np.array([state.position for state in states])[rows],
+            frenet=np.hstack(found[1:])[rows],
+            fallback=fallback,
+        )
+
+    def _search(
+        self,
+        observation: Observation,
+        checker: Any,
+        acceleration: float,
+        frenet: FloatArray | None,
+        limit: float,
+    ) -> Any:
+        """What the planner finds among some obstacles, with a limit of the desired velocity."""
         ego = observation.ego
         self._planner.reset(
             initial_state_cart=_state(ego, observation.step, acceleration, self._vehicle),
@@ -131,20 +173,11 @@ class CommonRoadReactivePlanner(Peer):
             collision_checker=checker,
             coordinate_system=self._frame,
         )
+        # At a velocity of zero, it would take the one of the planning problem in place of this one.
         self._planner.set_desired_velocity(
-            self._desired_velocity, current_speed=float(ego[EGO_VELOCITY])
+            min(self._desired_velocity, limit), current_speed=max(float(ego[EGO_VELOCITY]), _MOVES)
         )
-        found = self._planner.plan()
-        if found is None:
-            raise NoPlanError("no sampled trajectory is feasible and free of collisions")
-        states = found[0].state_list
-        return Trajectory(
-            steering=np.array([state.steering_angle for state in states]),
-            velocity=np.array([state.velocity for state in states]),
-            acceleration=np.array([state.acceleration for state in states]),
-            position=np.array([state.position for state in states]),
-            frenet=np.hstack(found[1:]),
-        )
+        return self._planner.plan()
 
 
 def _vehicle(vehicle: VehicleParameters) -> rp.VehicleConfiguration:

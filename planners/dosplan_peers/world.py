@@ -9,6 +9,7 @@ import numpy as np
 from dosplan.geometry import set_sizes
 from dosplan.types import FloatArray, Occupancy, RoadMap, Route
 from dosplan_peers import INSTALL
+from dosplan_peers.peer import WALL, Stop
 
 try:
     from commonroad.scenario.lanelet import Lanelet
@@ -102,6 +103,23 @@ def time_variant(centre: FloatArray, heading: FloatArray, size: FloatArray, step
     for (x, y), angle, (length, width) in zip(centre, heading, size, strict=True):
         found.append_obstacle(pycrcc.RectOBB(0.5 * length, 0.5 * width, angle, x, y))
     return found
+
+
+def wall(stop: Stop, step: int, steps: int) -> Any:
+    """The wall at a stop, as an object of CommonRoad's collision checker.
+
+    Args:
+        stop: The stop.
+        step: The present step.
+        steps: For how many steps it stands there.
+
+    Returns:
+        A ``pycrcc.TimeVariantCollisionObject``.
+    """
+    n = steps + 1
+    return time_variant(
+        np.tile(stop.centre, (n, 1)), np.full(n, stop.heading), np.tile(WALL, (n, 1)), step
+    )
 
 
 def swept(moving: Any) -> Any:

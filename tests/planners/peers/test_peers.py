@@ -8,6 +8,8 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from dosplan_simple.predictors import NonePredictor
+from shapely.geometry import box
 
 from dosplan.api import NoPlanError, Planner
 from dosplan.plugins.registry import RegistryError, create_planner, find_planner
@@ -19,20 +21,36 @@ from dosplan.scenario.synthetic import (
     straight_route,
     straight_scenario,
 )
+from dosplan.simulation.loop import run_episode
+from dosplan.simulation.settings import REALISTIC, LoopSettings
 from dosplan.simulation.world import World
-from dosplan.types import EGO_VELOCITY, FloatArray, Observation, Occupancy, Plan, Scenario
+from dosplan.types import (
+    EGO_VELOCITY,
+    EGO_X,
+    Arm,
+    FloatArray,
+    GoalState,
+    LightColour,
+    Observation,
+    Occupancy,
+    Plan,
+    Scenario,
+    StopCause,
+)
 from dosplan.vehicle import VehicleParameters
+from tests.support.factories import ruled_scenario, stop_at
 from tests.support.peers import NEEDS, skip_where_missing
 
 if find_spec("commonroad_dc") is None:
     pytest.skip("needs commonroad-drivability-checker (extra oracle)", allow_module_level=True)
 
-from dosplan_peers.peer import Peer, Trajectory, follow
+from dosplan_peers.peer import BRAKING, Peer, PeerSettings, Stop, Trajectory, follow
 from dosplan_peers.world import (
     commonroad_scenario,
     moving_rectangles,
     reference_path,
     swept,
+    wall,
 )
 
 VEHICLE = VehicleParameters()
@@ -105,6 +123,7 @@ class Ramp(Peer):
     """Speeds up more and more, and remembers what it was told."""
 
     name = "ramp-v1"
+    delay = 0.5
 
     def build(self, *anything: object) -> None:
         self.told: list[tuple[float, FloatArray | None]] = []
@@ -115,8 +134,10 @@ class Ramp(Peer):
         occupancy: Occupancy,
         acceleration: float,
         frenet: FloatArray | None,
+        stop: Stop | None,
     ) -> Trajectory:
         self.told.append((acceleration, frenet))
+        self.stop = stop
         return trajectory(np.zeros(4), 10.0 + 0.1 * np.arange(4.0), fallback="ramp")
 
 
@@ -135,11 +156,14 @@ def test_what_was_foreseen_comes_back_until_the_next_episode() -> None:
         ramp.reset(scenario.task, scenario.road_map, VEHICLE)
         for step, x in ((0, 0.0), (2, 2.008), (3, 1.012), (9, 3.0)):  # Foreseen: 2, 1, 3.
             seen = World(scenario, first_step=step, history=31).observation()
-            seen = replace(seen, ego=seen.ego + np.array([x, 0.0, 0.0, 0.0, 0.0]))
-            plan = ramp.plan(seen, growing_sets(seen))
+            history = np.array(seen.ego_history)
+            history[-2] = seen.ego - [1.0, 0.0, 0.0, 0.05, 0.0]
+            ego = seen.ego + np.array([x, 0.0, 0.0, 0.0, 0.0])
+            plan = ramp.plan(replace(seen, ego=ego, ego_history=history), growing_sets(seen))
         accelerations, states = zip(*ramp.told, strict=True)
-        assert accelerations == (0.0, 2.0, 1.0, 3.0)
-        # At first nothing was foreseen; 8 mm off the foreseen place is near, 12 mm is not.
+        # At first nothing was foreseen; 8 mm off the foreseen place is near, 12 mm is not: there
+        # the acceleration is that of the step before.
+        assert accelerations == pytest.approx((0.0, 2.0, 0.5, 3.0))
         assert [None if state is None else state.tolist() for state in states] == [
             None,
             [2.0] * 6,
@@ -147,6 +171,37 @@ def test_what_was_foreseen_comes_back_until_the_next_episode() -> None:
             [3.0] * 6,
         ]
     assert plan.report.fallback == "ramp"
+
+
+@pytest.mark.parametrize(
+    ("colour", "rules", "stops"),
+    [
+        (LightColour.RED, True, True),
+        (LightColour.RED, False, False),
+        (LightColour.GREEN, True, False),
+    ],
+)
+def test_a_wall_stands_where_a_rule_asks_for_a_stop(
+    colour: LightColour, rules: bool, stops: bool
+) -> None:
+    line = VEHICLE.rear_to_centre + 0.5 * VEHICLE.length + 20.0
+    light = stop_at(StopCause.LIGHT, line, line + 20.0, lights=(7,))
+    scenario = ruled_scenario(light, lights={7: [colour]})
+    ramp = Ramp(settings=PeerSettings(rules=rules))
+    ramp.reset(scenario.task, scenario.road_map, VEHICLE)
+    seen = World(scenario).observation()
+    plan = ramp.plan(seen, growing_sets(seen))
+    assert plan.report.fallback == "ramp"
+    assert plan.report.waits_for == ("light 7" if stops else None)
+    if not stops:
+        assert ramp.stop is None
+        return
+    assert ramp.stop is not None  # Half a metre before the line, 20 m ahead; half a second is 5 m.
+    assert ramp.stop.velocity == pytest.approx(np.sqrt(2.0 * BRAKING * 14.5))
+    for wide in (wall(ramp.stop, 3, 2).obstacle_at_time(step) for step in (3, 5)):
+        face = wide.center()[0] - wide.r_x(), wide.center()[1]
+        assert face == pytest.approx((line - 0.5, 0.0))
+        assert wide.r_y() > 3.0 + 0.5 * VEHICLE.width
 
 
 def test_a_trajectory_that_can_be_driven_is_driven_as_it_is() -> None:
@@ -228,3 +283,28 @@ def test_a_peer_in_a_hopeless_place_does_what_its_own_script_does(name: str) -> 
         plan = first_plan(name, hopeless)
         assert plan.report.fallback == "stopping"
         assert plan.states[-1, EGO_VELOCITY] < 1.0
+
+
+@pytest.mark.parametrize("loop", [LoopSettings(), LoopSettings(period=0.5), REALISTIC])
+@pytest.mark.parametrize("name", PEERS)
+def test_a_peer_stops_at_a_red_light_and_drives_on_when_it_turns_green(
+    name: str, loop: LoopSettings
+) -> None:
+    line, front = 45.0, VEHICLE.rear_to_centre + 0.5 * VEHICLE.length
+    light = stop_at(StopCause.LIGHT, line, line + 20.0, lights=(7,))
+    colours = [LightColour.RED] * 100 + [LightColour.GREEN]
+    ahead = box(120.0, -1.75, 160.0, 1.75)
+    scenario = ruled_scenario(
+        light,
+        lights={7: colours},
+        seconds=14.0,
+        goals=(GoalState(first_step=100, last_step=140, region=ahead),),
+    )
+    planner = create_planner(name, 0)
+    episode = run_episode(scenario, planner, NonePredictor(), Arm.WITH_DOS, loop)
+    assert episode.error is None
+    x, velocity = episode.states[:, EGO_X] + front, episode.states[:, EGO_VELOCITY]
+    assert line - 2.5 < x[:101].max() <= line
+    assert velocity[95:101].max() < 1.0  # It may creep on to the line.
+    assert x[-1] > line + 5.0
+    assert {plan.report.fallback for plan in episode.plans} == {None}

@@ -1,4 +1,4 @@
-"""Split-conformal calibration of occupancy sets, group by group.
+"""Split-conformal calibration of occupancy sets, group by group or by what is known of each.
 
 The *score* of a recorded truth is its Mahalanobis distance d_M to the predicted ellipse, 1 on the
 boundary: semi-axes scaled by a factor q cover every truth with d_M <= q. Of n scores that are
@@ -18,6 +18,9 @@ groups that are known beforehand (Mondrian), this holds in each group.
   the quantile of d_M of the group at ``SHAPE_LEVEL``; without it, the step with the largest errors
   would decide for all steps. It is estimated on recordings that are used for nothing else (every
   fourth), without which the guarantee would be lost.
+* **Conditional**: the same with ranks of scores in place of scores. The rank says where a score
+  lies among those of road users of which the same is known (``conditional``), so that factors
+  differ within a group. The guarantee is that of the groups; what is better is how misses spread.
 * **Loops**: the windows are seen as a loop between ego and world shows them, and a calibration is
   for loops that see as well. ``CalibratedFor`` names them; each has a file of its own beside the
   weights. The latency of a loop does not matter, as steps are counted from what is seen.
@@ -30,11 +33,11 @@ groups that are known beforehand (Mondrian), this holds in each group.
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from pathlib import Path
-from typing import Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +45,7 @@ import numpy.typing as npt
 from dosplan.evaluation.groups import SPEED_EDGES as BIN_EDGES
 from dosplan.system.errors import one_line
 from dosplan.types import FloatArray, IntArray, RoadUserKind, ShapeError
+from dosplan_dos.conditional import ConditionalScores
 
 Kinds = Sequence[RoadUserKind]
 
@@ -75,6 +79,7 @@ LEVELS: Final = np.r_[50:9000:50, 9000:9800:20, 9800:10001:5] / 10000
 
 FORMAT: Final = "dosplan-calibration-1"
 _ARRAYS: Final = ("source", "windows", "recordings", "shape", "quantiles")
+_GIVEN: Final = ("low", "high", "scale", "shape")
 _ROUNDING: Final = 1e-9
 """Tolerance for floating-point errors of a level and of (n + 1) level."""
 
@@ -141,6 +146,8 @@ class Calibration:
         shape: (G, T) shape of the profile over T steps; 1 per step.
         quantiles: (G, T, L) finite-sample quantile of score / shape at each of the L ``LEVELS``;
             (G, 1, L) where all steps are covered at once.
+        given: Quantiles of scores given covariates, whose ranks take the place of scores here;
+            None where the scores themselves are kept.
     """
 
     mode: Mode
@@ -149,6 +156,7 @@ class Calibration:
     recordings: FloatArray
     shape: npt.NDArray[np.float32]
     quantiles: npt.NDArray[np.float32]
+    given: ConditionalScores | None = None
 
     def __post_init__(self) -> None:
         groups, steps = len(GROUPS), self.horizon if self.mode is Mode.PER_STEP else 1
@@ -162,6 +170,10 @@ class Calibration:
                 )
             array.setflags(write=False)
             object.__setattr__(self, field, array)
+        if self.given is not None and self.given.horizon != self.horizon:
+            raise ShapeError(
+                f"Calibration.given is of {self.given.horizon} steps, expected {self.horizon}"
+            )
 
     @property
     def horizon(self) -> int:
@@ -181,7 +193,13 @@ class Calibration:
 
     @classmethod
     def fit(
-        cls, scores: FloatArray, speed: FloatArray, kinds: Kinds, recording: IntArray, mode: Mode
+        cls,
+        scores: FloatArray,
+        speed: FloatArray,
+        kinds: Kinds,
+        recording: IntArray,
+        mode: Mode,
+        given: ConditionalScores | None = None,
     ) -> Self:
         """Stores the distribution of scores whose predictors were not trained on the recordings.
 
@@ -191,6 +209,8 @@ class Calibration:
             kinds: n kinds.
             recording: (n,) which recording a window is from; any integers.
             mode: What the level is to be a probability of.
+            given: What ``scores`` are ranks of; they have to be of recordings that it was not
+                fitted to.
 
         Returns:
             The calibration.
@@ -221,15 +241,23 @@ class Calibration:
             for group in GROUPS
         ]
         sources = np.array([SOURCES.index(g) for g in used])
-        return cls(mode, sources, *map(np.array, zip(*(samples[g] for g in used), strict=True)))
+        parts: list[Any] = [*map(np.array, zip(*(samples[g] for g in used), strict=True)), given]
+        return cls(mode, sources, *parts)
 
-    def factors(self, level: float, speed: FloatArray, kinds: Kinds) -> FloatArray:
+    def factors(
+        self,
+        level: float,
+        speed: FloatArray,
+        kinds: Kinds,
+        covariates: FloatArray | None = None,
+    ) -> FloatArray:
         """Factors on the semi-axes.
 
         Args:
             level: Wanted coverage.
             speed: (N,) speed now, m/s.
             kinds: N kinds.
+            covariates: (N, F) what is known besides; needed where there is a ``given``.
 
         Returns:
             (N, T) factors, which do not decrease with the level. They are never below the exact
@@ -242,10 +270,15 @@ class Calibration:
                 With the scores of a coarser group instead, a higher level could give a group
                 that is hard to predict lower factors.
         """
-        return self.table(level)[group_index(speed, kinds, len(kinds))]
+        found = self.table(level)[group_index(speed, kinds, len(kinds))]
+        if self.given is None:
+            return found
+        if covariates is None:
+            raise ValueError("this calibration needs covariates")
+        return self.given.score(found, covariates)
 
     def table(self, level: float) -> FloatArray:
-        """(G, T) factors of the ``GROUPS``, see ``factors``."""
+        """(G, T) factors of the ``GROUPS``, see ``factors``; ranks where there is a ``given``."""
         if not 0 < level < 1:
             raise ValueError(f"level is {level:g}, expected a share between 0 and 1")
         if level > self.highest_level:
@@ -259,6 +292,8 @@ class Calibration:
 
     def table_like(self, other: Calibration, scale: float) -> FloatArray:
         """Factors that cover here what one factor covers where another calibration was made.
+
+        Both are of scores, not of ranks.
 
         Args:
             other: The other calibration, of as many steps.
@@ -422,28 +457,36 @@ def calibration_file(weights: Path, loop: CalibratedFor) -> Path:
 
 
 def save_calibrations(path: Path, calibrations: Iterable[Calibration]) -> None:
-    """Writes calibrations of different modes into one file; the same ones give the same bytes.
+    """Writes calibrations into one file; the same ones give the same bytes.
 
     Args:
         path: The file, ``.npz``.
-        calibrations: At most one of each mode.
+        calibrations: At most one of each mode with a ``given``, which is the same for all of them,
+            and at most one of each without.
     """
-    arrays = {f"{c.mode}.{field}": getattr(c, field) for c in calibrations for field in _ARRAYS}
+    arrays: dict[str, Any] = {}
+    for calibration in calibrations:
+        prefix = _prefix(calibration.mode, conditional=calibration.given is not None)
+        arrays |= {prefix + field: getattr(calibration, field) for field in _ARRAYS}
+        if calibration.given is not None:
+            arrays |= {f"given.{field}": getattr(calibration.given, field) for field in _GIVEN}
     with path.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, format=np.array(FORMAT), **arrays)
 
 
-def load_calibrations(path: Path) -> dict[Mode, Calibration]:
+def load_calibrations(path: Path, *, conditional: bool = False) -> dict[Mode, Calibration]:
     """Reads what ``save_calibrations`` wrote.
 
     Args:
         path: The file.
+        conditional: Whether those are wanted that depend on covariates.
 
     Returns:
         The calibrations by mode, one at least.
 
     Raises:
-        ValueError: The file is missing, damaged, cut off or something else.
+        ValueError: The file is missing, damaged, cut off or something else, or holds none of that
+            sort.
     """
     try:
         if path.is_file() and not zipfile.is_zipfile(path):
@@ -452,15 +495,30 @@ def load_calibrations(path: Path) -> dict[Mode, Calibration]:
             if str(content["format"]) != FORMAT:
                 raise ValueError(f"format {content['format']}, expected {FORMAT}")
             found = {
-                mode: Calibration(mode, **{f: content[f"{mode}.{f}"] for f in _ARRAYS})
+                mode: _read(content, mode, conditional=conditional)
                 for mode in Mode
-                if f"{mode}.shape" in content
+                if _prefix(mode, conditional=conditional) + "shape" in content
             }
         if not found:
-            raise ValueError("it holds no calibration")
+            sort = "that depends on covariates" if conditional else "by groups"
+            raise ValueError(f"it holds no calibration {sort}")
     except Exception as error:  # A damaged archive can raise almost anything.
         raise ValueError(
             f"{path}: not a file of calibrations ({one_line(error)}); "
             "write one with save_calibrations"
         ) from None
     return found
+
+
+def _prefix(mode: Mode, *, conditional: bool) -> str:
+    return f"{mode}.given." if conditional else f"{mode}."
+
+
+def _read(content: Mapping[str, Any], mode: Mode, *, conditional: bool) -> Calibration:
+    prefix = _prefix(mode, conditional=conditional)
+    arrays = {field: content[prefix + field] for field in _ARRAYS}
+    if not conditional:
+        return Calibration(mode, **arrays)
+    horizon = int(arrays["shape"].shape[1])
+    parts = {field: content[f"given.{field}"] for field in _GIVEN}
+    return Calibration(mode, **arrays, given=ConditionalScores(**parts, horizon=horizon))

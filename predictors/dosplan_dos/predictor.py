@@ -18,8 +18,6 @@ from dosplan.api import PluginSpec, Predictor, PredictorSettings
 from dosplan.geometry import to_body
 from dosplan.types import (
     USER_HEADING,
-    USER_VELOCITY,
-    FloatArray,
     Observation,
     Occupancy,
     PlanningTask,
@@ -30,10 +28,10 @@ from dosplan_dos.calibration import (
     Calibration,
     Mode,
     calibration_file,
-    group_index,
     load_calibrations,
 )
 from dosplan_dos.grid import every_step
+from dosplan_dos.sizes import ConditionalSizes, FixedSizes, GroupSizes, Sizes
 
 if TYPE_CHECKING:
     from dosplan_dos.graph import SetsGraph
@@ -72,6 +70,9 @@ class DosSettings(PredictorSettings):
             the coverage that it has in the ideal loop, so that the sets know of the errors of
             what is seen. ``auto`` follows the run: ``realistic`` where its sensors err, unless
             only a scale is asked for and the module is not calibrated for it.
+        conditional: Whether the factors of a coverage follow what is known of each road user (the
+            noise of its track, whether it brakes or turns, the road ahead, its leader), instead of
+            its kind and speed alone.
         simultaneous: Whether to cover all steps of the horizon at once with that probability,
             instead of each step.
         base: Where the centres come from; by default the network of ``network``.
@@ -88,6 +89,7 @@ class DosSettings(PredictorSettings):
     scale: float = DEFAULT_SCALE
     coverage: float | None = None
     calibration: CalibratedFor = CalibratedFor.AUTO
+    conditional: bool = False
     simultaneous: bool = False
     base: PluginSpec[Predictor] | None = None
     network: Path | None = None
@@ -102,6 +104,8 @@ class DosSettings(PredictorSettings):
             raise ValueError("give a scale or a coverage, not both")
         if self.scale < 0.0:
             raise ValueError(f"scale is {self.scale}, expected 0 or more")
+        if self.conditional and self.coverage is None:
+            raise ValueError("conditional goes with a coverage only")
         if self.coverage is not None and not 0.0 < self.coverage < 1.0:
             raise ValueError(f"coverage is {self.coverage}, expected a share between 0 and 1")
         if self.base is not None:
@@ -169,8 +173,7 @@ class DosPredictor(Predictor):
         )
         self.base: Predictor = (settings.base or own).build(seed)
         network, sets = settings.network or shipped_weights(), settings.sets_file
-        self._scale = settings.scale
-        self._table, calibrations = _factors(settings)
+        self._sizes, calibrations = _sizes(settings)
         self._files = (network, sets, *calibrations)
         self._module = shared_module(sets, settings.engine, settings.threads)
         self.encoder = shared_encoder(network, settings.engine, settings.threads, settings.lights)
@@ -204,12 +207,7 @@ class DosPredictor(Predictor):
                 history=encoded.history,
             )
             lengths, turned = (array.astype(np.float64) for array in made)
-            if self._table is None:
-                lengths *= self._scale
-            else:
-                speed = np.abs(observation.states[moving, -1, USER_VELOCITY])
-                kinds = [observation.kinds[row] for row in moving]
-                lengths *= self._table[group_index(speed, kinds, len(kinds)), :, None]
+            lengths *= self._sizes.factors(observation, encoded)[..., None]
             semi_axes[moving] = every_step(lengths)[:, : self.horizon]
             double = every_step(turned)[:, : self.horizon]
             heading = observation.states[moving, -1, USER_HEADING, None]
@@ -237,25 +235,27 @@ class DosPredictor(Predictor):
         return local.astype(np.float32)
 
 
-def _factors(settings: DosSettings) -> tuple[FloatArray | None, tuple[Path, ...]]:
-    """(G, T) factors on the sets as they were trained, and the files that they come from.
+def _sizes(settings: DosSettings) -> tuple[Sizes, tuple[Path, ...]]:
+    """The factors on the sets as they were trained, and the files that they come from.
 
-    None where all have the factor ``scale``. Outside of a run, ``AUTO`` is the ideal loop.
+    Outside of a run, ``AUTO`` is the ideal loop.
     """
     sets, loop = settings.sets_file, settings.calibration
     if loop is CalibratedFor.AUTO:
         loop = CalibratedFor.IDEAL
-    if settings.coverage is not None:
+    if (level := settings.coverage) is not None:
         mode = Mode.SIMULTANEOUS if settings.simultaneous else Mode.PER_STEP
+        made = shipped_calibration(sets, mode, loop, settings.conditional)
         # A level that is too high is refused here, not in the first episode.
-        table = shipped_calibration(sets, mode, loop).table(settings.coverage)
-        return table, (calibration_file(sets, loop),)
+        table = made.table(level)
+        sizes = ConditionalSizes(made, level) if settings.conditional else GroupSizes(table)
+        return sizes, (calibration_file(sets, loop),)
     if loop is CalibratedFor.IDEAL:
-        return None, ()
+        return FixedSizes(settings.scale), ()
     loops = (loop, CalibratedFor.IDEAL)
     own, ideal = (shipped_calibration(sets, Mode.PER_STEP, of) for of in loops)
     files = tuple(calibration_file(sets, of) for of in loops)
-    return own.table_like(ideal, settings.scale), files
+    return GroupSizes(own.table_like(ideal, settings.scale)), files
 
 
 def shipped_sets(name: str) -> Path:
@@ -298,13 +298,16 @@ def shared_module(weights: Path, engine: Engine, threads: int) -> Function:
 
 
 @lru_cache(maxsize=8)
-def shipped_calibration(weights: Path, mode: Mode, loop: CalibratedFor) -> Calibration:
+def shipped_calibration(
+    weights: Path, mode: Mode, loop: CalibratedFor, conditional: bool = False
+) -> Calibration:
     """The calibration in the folder of a module's weights.
 
     Args:
         weights: The weights.
         mode: Per step or simultaneous.
         loop: The loop that it is for.
+        conditional: Whether it is to depend on what is known of each road user.
 
     Returns:
         The calibration.
@@ -318,4 +321,4 @@ def shipped_calibration(weights: Path, mode: Mode, loop: CalibratedFor) -> Calib
             f"{path.name}: the sets {weights.stem!r} were never calibrated for the loop {loop}; "
             "calibrate them with dosplan train calibration, or leave coverage and calibration out"
         )
-    return load_calibrations(path)[mode]
+    return load_calibrations(path, conditional=conditional)[mode]

@@ -13,33 +13,28 @@ import torch
 from dosplan_net.build import load_network
 from dosplan_net.features import kinds_of
 from dosplan_net.network import constant_velocity
-from dosplan_net.training.batches import Selection
+from dosplan_net.training.batches import RawBatch, Selection
 from dosplan_net.training.cache import CacheError, WindowCache
 from dosplan_net.training.optimise import FitSettings, fit
-from dosplan_net.training.train import NET, assign_folds, cross_fitted_trajectories, run_over
+from dosplan_net.training.train import NET, cross_fitted_trajectories, run_over
 from dosplan_net.weights import load_model, load_weights, save_weights
 from torch import Tensor, nn
 
-from dosplan.types import RoadUserKind
+from dosplan.types import place_of
+from dosplan_dos.calibrating import SECONDS, WANTED, Scored, calibrate, left_out
 from dosplan_dos.calibration import (
-    SPEED_EDGES,
     CalibratedFor,
-    Calibration,
     Mode,
     calibration_file,
-    estimate_coverage,
     load_calibrations,
     save_calibrations,
 )
+from dosplan_dos.covariates import covariates
 from dosplan_dos.losses import LossConfig
 from dosplan_dos.module import CONSTANT_VELOCITY, OccupancyModule, SetConfig
 from dosplan_dos.shapes import Ellipses, Variant, grid_steps
 
 MODEL = "occupancy-sets"
-LEVELS = (0.5, 0.7, 0.8, 0.9, 0.95, 0.99)  # Of which a calibration reports what it covers.
-FOLDS = 5
-WANTED = 0.9  # Coverage at which areas are compared in validation.
-SECONDS = (4, 9, 14, 19)  # Columns of the grid at 1, 2, 3 and 4 s.
 
 
 @dataclass(frozen=True)
@@ -78,6 +73,8 @@ class Windows:
         static: (W, STATIC_SIZE) see ``dosplan_net.features.SceneFeatures``.
         instructive: (W,) whether the road user moves or is about to.
         recording: (W,) recording.
+        covariates: (W, F) see ``covariates.covariates``.
+        places: The place of each recording.
     """
 
     features: Tensor
@@ -89,6 +86,8 @@ class Windows:
     static: Tensor
     instructive: Tensor
     recording: Tensor
+    covariates: Tensor
+    places: tuple[str, ...]
 
     def sets(self, module: OccupancyModule, rows: Tensor) -> tuple[Ellipses, Tensor, Tensor]:
         """A module's sets for some windows, the errors (B, G, 2) and whether they are known."""
@@ -141,9 +140,26 @@ def encode_windows(
                 batch.recording + first,
             )
             keep = batch.moves & batch.future_valid[:, 0]
-            parts.append(tuple(value[keep] for value in values))
+            parts.append((*(value[keep] for value in values), _known(batch, keep)))
         first += len(cache.recordings)
-    return Windows(*(torch.cat(column) for column in zip(*parts, strict=True)))
+    places = tuple(place_of(Path(name).name) for cache in caches for name in cache.recordings)
+    columns: list[Any] = [torch.cat(column) for column in zip(*parts, strict=True)]
+    return Windows(*columns, *[places])
+
+
+def _known(batch: RawBatch, keep: Tensor) -> Tensor:
+    """(K, F) covariates of the windows of a batch that are kept."""
+    rows = np.flatnonzero(keep.cpu().numpy())
+    found = covariates(
+        batch.pose.double().cpu().numpy(),
+        batch.history.cpu().numpy(),
+        batch.static.cpu().numpy(),
+        batch.neighbours.cpu().numpy(),
+        batch.pieces.cpu().numpy(),
+        batch.piece_pose.double().cpu().numpy(),
+        rows,
+    )
+    return torch.from_numpy(found)
 
 
 def train_module(
@@ -258,8 +274,8 @@ def train_sets(
             yield name, train_module(name, config, training, windows, validating, out, report)
             if name in training.calibrated:
                 target = out / f"{name}.safetensors"
-                made = calibrate(load_module(target), [windows, validating])
-                save_calibrations(calibration_file(target, loop), made)
+                scored = score_windows(load_module(target), [windows, validating])
+                save_calibrations(calibration_file(target, loop), calibrate(scored))
 
 
 def calibrate_sets(
@@ -282,14 +298,16 @@ def calibrate_sets(
     """
     opened = [WindowCache.open(path) for path in caches]
     loop = _loop_of(opened)
-    folds = np.concatenate(assign_folds(opened, FOLDS))
     for name in names:
         weights = out / f"{name}.safetensors"
         module = load_module(weights)
         windows = encode_windows(opened, network / f"{NET}.safetensors", module.config.base)
         try:
-            told = _left_out(module, windows, folds, weights)
-            save_calibrations(calibration_file(weights, loop), calibrate(module, [windows]))
+            scored = score_windows(module, [windows])
+            ideal = calibration_file(weights, CalibratedFor.IDEAL)
+            beside = loop is not CalibratedFor.IDEAL and ideal.is_file()
+            told = left_out(scored, load_calibrations(ideal)[Mode.PER_STEP] if beside else None)
+            save_calibrations(calibration_file(weights, loop), calibrate(scored))
         except ValueError as error:
             raise CacheError(f"{name} cannot be calibrated on these windows: {error}") from None
         yield f"{name}, for the loop {loop}\n\n{told}"
@@ -307,67 +325,8 @@ def _loop_of(caches: Sequence[WindowCache]) -> CalibratedFor:
     return CalibratedFor(found.pop())
 
 
-def _left_out(
-    module: OccupancyModule, windows: Windows, folds: npt.NDArray[np.int64], weights: Path
-) -> str:
-    """What sets cover of recordings on which they were not calibrated, place by place.
-
-    The calibration for the ideal loop is shown beside, where there is one.
-    """
-    score, speed, kinds, recording = _columns(module, [windows])
-    fold, classes = folds[recording], np.array(kinds, dtype=object)
-    ideal = calibration_file(weights, CalibratedFor.IDEAL)
-    before = load_calibrations(ideal)[Mode.PER_STEP] if ideal.is_file() else None
-    fitted = [
-        Calibration.fit(score[rest], speed[rest], classes[rest], recording[rest], Mode.PER_STEP)
-        for rest in (fold != k for k in range(FOLDS))
-    ]
-
-    def share(factors: npt.NDArray[np.float64], rows: npt.NDArray[np.bool_]) -> str:
-        covered = np.where(np.isfinite(score), score <= factors, np.nan)[rows]
-        found = estimate_coverage(covered[:, SECONDS], recording[rows])
-        rates = zip(found.rate, found.standard_error, strict=True)
-        return " / ".join(f"{100 * rate:.1f} ±{100 * error:.1f}" for rate, error in rates)
-
-    def row(head: str, level: float, rows: npt.NDArray[np.bool_]) -> str:
-        factors = np.full(score.shape, np.nan)
-        for k, calibration in enumerate(fitted):
-            part = fold == k
-            factors[part] = calibration.factors(level, speed[part], classes[part])
-        cells = [head, share(factors, rows)]
-        if before is not None:
-            cells.append(share(before.factors(level, speed, kinds), rows))
-        return f"| {' | '.join(cells)} |"
-
-    heads = ["covered at 1 / 2 / 3 / 4 s, %"]
-    if before is not None:
-        heads.append("as calibrated for the loop ideal, %")
-    line = "|--" * (len(heads) + 1) + "|"
-    everyone = np.ones(len(score), dtype=np.bool_)
-    bins = np.searchsorted(SPEED_EDGES, speed, side="right")
-    edges = ("0", *(f"{edge:g}" for edge in SPEED_EDGES), "inf")
-    return "\n".join(
-        [
-            f"| asked for | {' | '.join(heads)} |",
-            line,
-            *(
-                row(f"{100 * level:g} %", level, everyone)
-                for level in LEVELS
-                if level <= min(calibration.highest_level for calibration in fitted)
-            ),
-            f"\n| {100 * WANTED:g} %, by speed now | {' | '.join(heads)} |",
-            line,
-            *(
-                row(f"{edges[b]} to {edges[b + 1]} m/s", WANTED, bins == b)
-                for b in range(len(edges) - 1)
-                if np.any(bins == b)
-            ),
-        ]
-    )
-
-
-def calibrate(module: OccupancyModule, parts: Sequence[Windows]) -> list[Calibration]:
-    """Calibrates a module on recordings that the predicting network was not trained on.
+def score_windows(module: OccupancyModule, parts: Sequence[Windows]) -> Scored:
+    """Scores windows of recordings that the predicting network was not trained on.
 
     Those are the validation recordings and, by cross-fitting, the training recordings as well.
 
@@ -376,27 +335,26 @@ def calibrate(module: OccupancyModule, parts: Sequence[Windows]) -> list[Calibra
         parts: Windows; the recordings of each part are its own.
 
     Returns:
-        The calibrations of each step and of the whole horizon.
+        What a calibration is made from.
     """
-    columns = _columns(module, parts)
-    return [Calibration.fit(*columns, mode) for mode in Mode]
-
-
-def _columns(
-    module: OccupancyModule, parts: Sequence[Windows]
-) -> tuple[
-    npt.NDArray[np.float64], npt.NDArray[np.float64], list[RoadUserKind], npt.NDArray[np.int64]
-]:
-    """Score, speed, kind and recording of all windows, as ``Calibration.fit`` takes them."""
-    score, speed, kinds, recording = [], [], [], []
-    first = 0
-    for windows in parts:
-        score.append(scores(module, windows))
-        speed.append(windows.velocity.abs().double().numpy())
-        kinds += kinds_of(windows.static)
-        recording.append(windows.recording.numpy() + first)
-        first = int(recording[-1].max()) + 1
-    return np.concatenate(score), np.concatenate(speed), kinds, np.concatenate(recording)
+    before = np.cumsum([0, *(len(windows.places) for windows in parts)])
+    recording = np.concatenate(
+        [w.recording.cpu().numpy() + n for w, n in zip(parts, before, strict=False)]
+    )
+    names = [name for windows in parts for name in windows.places]
+    places, place = np.unique(names, return_inverse=True)
+    scored, areas = zip(*(scores(module, windows) for windows in parts), strict=True)
+    kinds = [kind for windows in parts for kind in kinds_of(windows.static.cpu())]
+    return Scored(
+        score=np.concatenate(scored),
+        area=np.concatenate(areas),
+        speed=np.concatenate([w.velocity.abs().double().cpu().numpy() for w in parts]),
+        kinds=np.array(kinds, dtype=object),
+        recording=recording,
+        covariates=np.concatenate([w.covariates.numpy() for w in parts]),
+        place=place[recording],
+        places=tuple(places.tolist()),
+    )
 
 
 def describe_config(config: SetConfig) -> dict[str, Any]:
@@ -441,23 +399,27 @@ def load_module(path: Path) -> OccupancyModule:
     return load_model(path, MODEL, lambda about: OccupancyModule(read_config(about["module"])))
 
 
-def scores(module: OccupancyModule, windows: Windows) -> npt.NDArray[np.float64]:
-    """Distances of the truth to a module's sets.
+def scores(
+    module: OccupancyModule, windows: Windows
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Distances of the truth to a module's sets, and their areas.
 
     Args:
         module: The module.
         windows: Windows with their true futures.
 
     Returns:
-        (W, G) Mahalanobis distances, NaN where the truth is not recorded.
+        (W, G) Mahalanobis distances, NaN where the truth is not recorded, and (W, G) areas, m2.
     """
-    parts = []
+    distances, areas = [], []
     with torch.no_grad():
         for rows in torch.split(torch.arange(len(windows.features)), 8192):
             sets, error, valid = windows.sets(module, rows)
             distance = sets.distance(error)
-            parts.append(torch.where(valid > 0, distance, torch.full_like(distance, torch.nan)))
-    return torch.cat(parts).double().numpy()
+            distances.append(torch.where(valid > 0, distance, torch.full_like(distance, torch.nan)))
+            areas.append(sets.area)
+    found = (torch.cat(parts).double().cpu().numpy() for parts in (distances, areas))
+    return next(found), next(found)
 
 
 class _Learner(nn.Module):

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from dosplan.geometry import LightIndex
-from dosplan.types import IntArray, Observation, RoadMap
+from dosplan.types import FloatArray, IntArray, Observation, RoadMap
 from dosplan_net.engine import Engine, Function, Model, open_function
-from dosplan_net.features import HORIZON, Float32Array, MapPieces, cut_map, describe
+from dosplan_net.features import HORIZON, Float32Array, MapPieces, SceneFeatures, cut_map, describe
 from dosplan_net.lights import describe_lights, find_lights, lit
 
 if TYPE_CHECKING:
@@ -59,6 +59,8 @@ class Encoded:
         trajectory: (M, HORIZON, 2) x, y in each road user's frame, m.
         history: (M, HISTORY, 6) see ``features.SceneFeatures``.
         velocity: (M,) m/s.
+        seen: What the network was shown of all N road users.
+        piece_pose: (P, 3) see ``features.MapPieces``.
     """
 
     moving: IntArray
@@ -66,6 +68,8 @@ class Encoded:
     trajectory: Float32Array
     history: Float32Array
     velocity: Float32Array
+    seen: SceneFeatures
+    piece_pose: FloatArray
 
 
 class SceneEncoder:
@@ -127,7 +131,8 @@ class SceneEncoder:
         """
         if self._last is not None and self._last[0] is observation:
             return self._last[1]
-        seen = describe(observation, self.prepare(observation.road_map))
+        road = self.prepare(observation.road_map)
+        seen = describe(observation, road)
         moving = np.flatnonzero(observation.moves)
         pose = seen.pose.astype(np.float32)
         pose[:, :2] = seen.pose[:, :2] - self._origin[:2]
@@ -155,7 +160,15 @@ class SceneEncoder:
                     velocity=pose[moving[rows], 3],
                     lights=lights[rows],
                 )
-        encoded = Encoded(moving, features, trajectory, seen.history[moving], pose[moving, 3])
+        encoded = Encoded(
+            moving,
+            features,
+            trajectory,
+            seen.history[moving],
+            pose[moving, 3],
+            seen,
+            road.pose,
+        )
         self._last = (observation, encoded)
         return encoded
 

@@ -43,7 +43,7 @@ PLUGINS_MAY_IMPORT: Final = {
     # What is learned or measured on recordings before a plug-in is used.
     "scenario": "*/training/*, */measure.py, traffic/dosplan_sumo/*",
     "simulation.world": "*/training/*, */measure.py", "simulation.settings": "*/training/*",
-    "evaluation.groups": "*/training/*, */calibration.py",
+    "evaluation.groups": "*/training/*, */calibration.py, */calibrating.py",
     # What a traffic is.
     "simulation.traffic": "traffic/*",
 }  # fmt: skip

@@ -133,6 +133,7 @@ def test_a_shorter_horizon_is_the_beginning(settings: DosSettings, horizon: int)
         ({"scale": -1.0}, "scale is -1.0, expected 0 or more"),
         ({"coverage": 1.5}, "coverage is 1.5, expected a share between 0 and 1"),
         ({"coverage": 0.0}, "coverage is 0.0, expected a share between 0 and 1"),
+        ({"conditional": True}, "conditional goes with a coverage only"),
         ({"horizon": 41}, "horizon is 41, expected 40 or less"),
         ({"horizon": 0}, "horizon is 0, expected 1 or more"),
         ({"threads": 0}, "threads is 0, expected 1 or more"),

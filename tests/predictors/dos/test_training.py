@@ -83,7 +83,9 @@ def test_scores_are_distances_and_nan_where_nothing_is_recorded(
     windows: Windows, tmp_path: Path
 ) -> None:
     module = load_module(save_sets(tmp_path / "sets.safetensors"))
-    found = scores(module, windows)
+    found, areas = scores(module, windows)
+    assert areas.shape == found.shape
+    assert np.all(areas > 0.0)
     known = windows.valid[:, 1::2].numpy()
     assert not known.all()
     np.testing.assert_array_equal(np.isfinite(found), known)
@@ -101,7 +103,7 @@ def test_scores_are_distances_and_nan_where_nothing_is_recorded(
 def test_figures_are_shares_and_mean_areas(windows: Windows, tmp_path: Path) -> None:
     module = load_module(save_sets(tmp_path / "sets.safetensors"))
     figures = coverage_figures(module, windows)
-    distance = scores(module, windows)
+    distance, _ = scores(module, windows)
     for second in (1, 2, 3, 4):
         at = distance[:, 5 * second - 1]
         at = at[np.isfinite(at)]

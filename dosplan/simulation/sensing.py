@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from dosplan.simulation.filtering import TrackFilter
 from dosplan.simulation.settings import SensingSettings
 from dosplan.simulation.sight import visible
 from dosplan.simulation.traffic import RoadUsers
@@ -64,7 +65,10 @@ class Sensors:
         self._rows: dict[int, int] = {}
         self._kinds: list[RoadUserKind] = []
         self._moves = np.empty(0, dtype=np.bool_)
-        self._size = np.empty((0, 2))
+        self._scenery = np.empty(0, dtype=np.bool_)
+        self._filter = TrackFilter(settings, dt) if settings.noisy else None
+        self._size = np.empty((0, 2))  # Mean of what was seen so far.
+        self._times = np.empty(0, dtype=np.int64)  # How often each was seen.
         self._last = np.empty(0, dtype=np.int64)  # Step at which each was seen last.
         self._states = np.empty((0, steps, USER_SIZE))
         self._tracked = np.empty((0, steps), dtype=np.bool_)
@@ -88,14 +92,14 @@ class Sensors:
             seen &= visible(eye, users)
         rows, states, size = rows[seen], users.states[seen], users.size[seen]
         errors = self._errors[rows, step]
-        self._states[rows, step, :2] = states[:, :2] + settings.position * errors[:, :2]
-        self._states[rows, step, USER_HEADING] = (
-            states[:, USER_HEADING] + settings.heading * errors[:, 2]
-        )
-        self._states[rows, step, USER_VELOCITY] = (
-            states[:, USER_VELOCITY] + settings.speed * errors[:, 3] * self._moves[rows]
-        )
-        self._size[rows] = size * np.maximum(1.0 + settings.size * errors[:, 4:], _LEAST_SIZE)
+        measured = np.array(states)
+        measured[:, :2] += settings.position * errors[:, :2]
+        measured[:, USER_HEADING] += settings.heading * errors[:, 2]
+        measured[:, USER_VELOCITY] += settings.speed * errors[:, 3] * self._moves[rows]
+        self._states[rows, step] = self._filtered(step, rows, measured)
+        measured_size = size * np.maximum(1.0 + settings.size * errors[:, 4:], _LEAST_SIZE)
+        self._times[rows] += 1
+        self._size[rows] += (measured_size - self._size[rows]) / self._times[rows, None]
         self._tracked[rows, step] = True
         self._last[rows] = step
         carried = (self._last < step) & (self._last >= 0)
@@ -127,6 +131,15 @@ class Sensors:
         ids = np.fromiter(self._rows, dtype=np.int64, count=len(self._rows))[rows]
         return ids, tuple(self._kinds[i] for i in rows), self._size[rows], states, valid
 
+    def _filtered(self, step: int, rows: IntArray, measured: FloatArray) -> FloatArray:
+        """(M, 4) the likeliest states of those who are seen; of scenery, what is on the map."""
+        if self._filter is None:
+            return measured
+        self._filter.forget((step - self._last) * self._dt > self._settings.memory + 1e-9)
+        estimated, erring = np.array(measured), ~self._scenery[rows]
+        estimated[erring] = self._filter.measure(rows[erring], measured[erring])
+        return estimated
+
     def _rows_of(self, users: RoadUsers) -> IntArray:
         """Rows of road users; those who are new get theirs."""
         ids = users.ids.tolist()
@@ -142,6 +155,9 @@ class Sensors:
         self._kinds += kinds
         self._moves = np.append(self._moves, [kind.moves for kind in kinds])
         self._size = np.concatenate([self._size, np.zeros((count, 2))])
+        self._times = np.append(self._times, np.zeros(count, dtype=np.int64))
+        if self._filter is not None:
+            self._filter.add(self._moves[-count:])
         self._last = np.append(self._last, np.full(count, -1))
         room = ((0, count), (0, 0))
         self._states = np.pad(self._states, (*room, (0, 0)), constant_values=np.nan)
@@ -157,6 +173,7 @@ class Sensors:
         # Walls and barriers stand on the map: what is seen of them is their true place.
         scenery = np.array([kind is RoadUserKind.STATIC for kind in kinds])
         errors[scenery], lost[scenery] = 0.0, False
+        self._scenery = np.append(self._scenery, scenery)
         self._errors = np.concatenate([self._errors, errors])
         self._lost = np.concatenate([self._lost, lost])
 

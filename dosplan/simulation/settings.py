@@ -76,9 +76,14 @@ class SensingSettings:
             raise ValueError(f"range is {self.range}, expected more than 0, or None")
 
     @property
+    def noisy(self) -> bool:
+        """Whether states are measured with errors."""
+        return any((self.position, self.speed, self.heading))
+
+    @property
     def errs(self) -> bool:
         """Whether road users who are in reach and in sight are seen with errors or gaps."""
-        return any((self.position, self.speed, self.heading, self.size, self.dropout_rate))
+        return self.noisy or any((self.size, self.dropout_rate))
 
     @property
     def exact(self) -> bool:

@@ -51,6 +51,7 @@ from dosplan.types import (
     Arm,
     EpisodeEnd,
     FloatArray,
+    IntArray,
     Observation,
     Occupancy,
     Plan,
@@ -259,11 +260,18 @@ def test_errors_have_the_deviation_and_the_correlation_that_are_set() -> None:
     assert abs(np.mean(process[..., 0] * process[..., 1])) < 0.02
 
 
-def test_what_is_seen_errs_as_set() -> None:
+class Unfiltered(Sensors):
+    """Shows what is measured."""
+
+    def _filtered(self, step: int, rows: IntArray, measured: FloatArray) -> FloatArray:
+        return measured
+
+
+def test_what_is_measured_errs_as_set() -> None:
     sensing = SensingSettings(position=0.2, speed=0.3, heading=0.05, size=0.1, correlation=0.2)
     first = [[0.0, 0.0, 0.3, 5.0]] * 200
     tracks = steady_tracks(first, steps=120)
-    sensors = Sensors(sensing, 0.1, 120, scenario="noise")
+    sensors = Unfiltered(sensing, 0.1, 120, scenario="noise")
     sizes = []
     for step in range(120):
         sensors.look(step, np.zeros(2), users_at(tracks, step))
@@ -274,7 +282,8 @@ def test_what_is_seen_errs_as_set() -> None:
     wanted = [0.2, 0.2, 0.05, 0.3]
     np.testing.assert_allclose(errors.std(axis=(0, 1)), wanted, rtol=0.05)
     np.testing.assert_allclose(errors.mean(axis=(0, 1)), 0.0, atol=0.02)
-    assert np.std(sizes) == pytest.approx(0.1, rel=0.05)
+    assert np.std(sizes[0]) == pytest.approx(0.1, rel=0.1)
+    assert np.std(sizes[-1]) < 0.03  # Of what was measured in 12 s.
     lagged = np.mean(errors[:, 2:, 0] * errors[:, :-2, 0]) / 0.2**2
     assert lagged == pytest.approx(np.exp(-1.0), abs=0.05)
 
@@ -348,8 +357,11 @@ def test_another_seed_scenario_or_future_has_other_errors() -> None:
     assert len(set(np.round(errors, 6))) == 4
 
 
-def test_errors_do_not_depend_on_the_traffic_nor_on_who_came_before() -> None:
+def test_errors_do_not_depend_on_the_traffic_nor_on_who_came_before(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """The shy traffic has its road users elsewhere, and one more from the third step on."""
+    monkeypatch.setattr(Sensors, "_filtered", Unfiltered._filtered)
     scenario = busy_scenario()
     one, other = drive(NOISY, scenario), drive(NOISY, scenario, traffic=ShyTraffic())
     first = _errors_seen(scenario, one, one.tracks)

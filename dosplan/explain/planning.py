@@ -54,6 +54,7 @@ class PlanningFacts:
         unreachable: Why no goal could be reached at the last cycle, in the planner's words; None
             where it does not say that.
         unreachable_since: How long before the end it has said so in every cycle, s; None as above.
+        decided: Number of cycles by what the planner had decided, in its words; likewise.
     """
 
     window: float
@@ -70,6 +71,7 @@ class PlanningFacts:
     waiting: dict[str, int]
     unreachable: str | None
     unreachable_since: float | None
+    decided: dict[str, int]
 
     def lines(self) -> list[str]:
         """How planning went, in plain words."""
@@ -99,6 +101,9 @@ class PlanningFacts:
                 "the planner says that no goal can be reached, all of the last "
                 f"{self.unreachable_since:.1f} s: {self.unreachable}"
             )
+        if self.decided:
+            decisions = "; ".join(f"{words} ({count})" for words, count in self.decided.items())
+            out.append(f"decisions (cycles): {decisions}")
         known = [_STATUSES[word] for word in self.statuses if word in _STATUSES]
         return out + [f"{status.word}: {status.advice}" for status in known if status.failed]
 
@@ -129,6 +134,7 @@ def planning_facts(drive: Drive) -> PlanningFacts | None:
     if not len(chosen):
         return None
     waits = [recording.waits_for[i] for i in chosen] if recording.waits_for else []
+    decisions = [recording.decisions[i] for i in chosen] if recording.decisions else []
     words = [recording.status[i] for i in chosen]
     computed = all(word == SolveStatus.NOT_OPTIMISED.word for word in words)
     if computed:
@@ -160,6 +166,7 @@ def planning_facts(drive: Drive) -> PlanningFacts | None:
         waiting=dict(Counter(reason for reason in waits if reason).most_common()),
         unreachable=given_up[-1] if lost else None,
         unreachable_since=(end - int(steps[chosen[-1] + 1 - lost])) * dt if lost else None,
+        decided=dict(Counter(words for words in decisions if words).most_common()),
     )
 
 

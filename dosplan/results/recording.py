@@ -99,6 +99,8 @@ class Recording:
             where no plan has one.
         unreachable: C reasons why no goal can be reached from there, empty where the plan names
             none; none at all where no plan does.
+        decisions: C decisions of the planner, empty where there was nothing to decide; none at all
+            where no plan has one.
 
     Raises:
         ValueError: Arrays do not fit each other, or what is no number is where one has to be.
@@ -137,6 +139,7 @@ class Recording:
     sightings: Sightings | None = None
     waits_for: tuple[str, ...] = ()
     unreachable: tuple[str, ...] = ()
+    decisions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         steps, cycles = len(self.inputs), len(self.cycle_steps)
@@ -160,7 +163,7 @@ class Recording:
                 raise ValueError(f"{name} has shape {found}, expected {shape}")
         if len(self.active_ids) != cycles:
             raise ValueError(f"active_ids has {len(self.active_ids)} entries, expected {cycles}")
-        for name in ("waits_for", "unreachable"):
+        for name in ("waits_for", "unreachable", "decisions"):
             if (count := len(getattr(self, name))) not in (0, cycles):
                 raise ValueError(f"{name} has {count} entries, expected {cycles}")
         for name in ("states", "inputs", "predict_seconds", "plan_seconds"):
@@ -203,6 +206,7 @@ class Recording:
                 road_slack=float(np.nan_to_num(self.road_slack[i])),
                 waits_for=(self.waits_for[i] or None) if self.waits_for else None,
                 unreachable=(self.unreachable[i] or None) if self.unreachable else None,
+                decision=(self.decisions[i] or None) if self.decisions else None,
             )
             for i in range(len(self.cycle_steps))
         )
@@ -246,6 +250,7 @@ class Recording:
         reports = [plan.report for plan in episode.plans]
         waits_for = tuple(str(report.waits_for or "") for report in reports)
         unreachable = tuple(str(report.unreachable or "") for report in reports)
+        decisions = tuple(str(report.decision or "") for report in reports)
         recording = cls(
             scenario_id=episode.scenario_id,
             arm=episode.arm,
@@ -270,6 +275,7 @@ class Recording:
             fallback=tuple(str(report.fallback or "") for report in reports),
             waits_for=waits_for if any(waits_for) else (),
             unreachable=unreachable if any(unreachable) else (),
+            decisions=decisions if any(decisions) else (),
             signals=episode.signals,
             plan_centres=_planned_centres(scenario, episode),
             **_kept_sets(episode),

@@ -470,6 +470,8 @@ class SolveReport:
             rule asks for it or the planner does not say.
         unreachable: Why no goal can be reached from here, in a few words that say what is missing
             and by how much; None where one can or the planner does not say.
+        decision: What the planner has decided to do, in a few words, such as ``change lanes behind
+            17``; None where there is nothing to decide or the planner does not say.
     """
 
     status: SolveStatus = SolveStatus.NOT_OPTIMISED
@@ -481,6 +483,7 @@ class SolveReport:
     road_slack: float = 0.0
     waits_for: str | None = None
     unreachable: str | None = None
+    decision: str | None = None
 
     def __post_init__(self) -> None:
         checks = (
@@ -497,6 +500,7 @@ class SolveReport:
             ("road_slack", _finite(self.road_slack), "a finite number"),
             ("waits_for", isinstance(self.waits_for, str | None), "a text or None"),
             ("unreachable", isinstance(self.unreachable, str | None), "a text or None"),
+            ("decision", isinstance(self.decision, str | None), "a text or None"),
         )
         for name, holds, wanted in checks:
             if not holds:

@@ -498,7 +498,12 @@ def test_the_last_seconds_of_planning_are_summed_up(tmp_path: Path) -> None:
         **pressed,
         22: failing,
         23: replace(failing, road_slack=0.25),
-        24: replace(failing, waits_for="light 31", unreachable="heading 20 degrees off"),
+        24: replace(
+            failing,
+            waits_for="light 31",
+            unreachable="heading 20 degrees off",
+            decision="change lanes behind 7",
+        ),
     }
     scenario = straight_scenario(braking_car(), velocity=15.0)
     found = explained(tmp_path, scenario, planner=Coast(reports))
@@ -517,6 +522,7 @@ def test_the_last_seconds_of_planning_are_summed_up(tmp_path: Path) -> None:
     assert "rules for which the ego stopped (cycles): light 31 (1)" in text
     assert (facts.unreachable, facts.unreachable_since) == ("heading 20 degrees off", 0.1)
     assert "no goal can be reached, all of the last 0.1 s: heading 20 degrees off" in text
+    assert "decisions (cycles): change lanes behind 7 (1)" in text
     assert f"max_iterations: {SolveStatus.MAX_ITERATIONS.advice}" in text
 
 

@@ -410,6 +410,7 @@ def test_times_and_slacks_are_kept_exactly_and_those_of_older_files_are_read(
         active_ids=(7,),
         waits_for="light 31",
         unreachable="2.1 m short",
+        decision="pass 12",
     )
     episode = replace(
         episode,

@@ -281,6 +281,62 @@ class PassingSettings:
 
 
 @dataclass(frozen=True)
+class GapSettings:
+    """Settings of the decision for a gap (``lane_change``).
+
+    Attributes:
+        ahead: Time over which a drive into a gap is looked at, s.
+        reach: Distance from the ego within which others count, m.
+        alignment: Cosine of the largest angle to the path of somebody on a lane along it.
+        arrived: Distance from the middle of the lane from which on the change is done, m.
+        known: Time up to which sets count as they are; later they count as they are then, s.
+        clearance: Distance that is kept from others along the path, m.
+        beside: Room beside what blocks the own lane, m.
+        headway: Time that is kept from who is ahead in the gap, s.
+        headway_behind: Time that is kept from who is behind, s.
+        tight: Share of these distances that is kept where there is no other gap.
+        gain: Share of the distance from a gap that is closed in a second, 1/s.
+        answer: Time within which a drive takes up a speed, s.
+        braking: Hardest braking of a drive, m/s2.
+        speeding: Strongest acceleration of a drive, m/s2.
+        seconds: Time that the change takes, s.
+        time_cost: What a second until the gap is beside the ego costs.
+        way_cost: What a metre less way costs, 1/m.
+        rate_cost: What a second of acceleration costs, s3/m2.
+        keeping: How much better another gap has to be than the one that was chosen.
+        station_weight: What being elsewhere than in the drive costs, 1/m2.
+    """
+
+    ahead: float = 8.0
+    reach: float = 60.0
+    alignment: float = 0.7
+    arrived: float = 0.8
+    known: float = 1.0
+    clearance: float = 0.8
+    beside: float = 0.3
+    headway: float = 0.3
+    headway_behind: float = 0.2
+    tight: float = 0.4
+    gain: float = 0.5
+    answer: float = 0.6
+    braking: float = 3.0
+    speeding: float = 2.4
+    seconds: float = 2.6
+    time_cost: float = 1.0
+    way_cost: float = 0.1
+    rate_cost: float = 0.2
+    keeping: float = 1.5
+    station_weight: float = 0.05
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            positive={"ahead", "reach", "answer", "braking", "speeding", "seconds"},
+            shares={"alignment", "tight"},
+        )
+
+
+@dataclass(frozen=True)
 class ArrivalSettings:
     """Settings of the drives that are tried where a plan misses its goal (``arrival``).
 
@@ -367,6 +423,7 @@ class MpcConfig:
         sampler: The sampled alternatives.
         arrival: The last metres into a goal.
         passing: The decision to pass what blocks the lane.
+        gap: The decision for a gap to change lanes into.
         stops: When the ego stops for lights, signs and crosswalks.
         barrier: How it does.
     """
@@ -408,6 +465,7 @@ class MpcConfig:
     sampler: SamplerSettings = SamplerSettings()
     arrival: ArrivalSettings = ArrivalSettings()
     passing: PassingSettings = PassingSettings()
+    gap: GapSettings = GapSettings()
     stops: StopSettings = StopSettings()
     barrier: BarrierSettings = BarrierSettings()
 

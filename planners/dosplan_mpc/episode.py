@@ -26,11 +26,13 @@ from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.arrival import Arrival, Arrivals
 from dosplan_mpc.barrier import BARRIER_ID, barrier
 from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.decision import Decision, Decisions
 from dosplan_mpc.goal_window import locate_goals
+from dosplan_mpc.lane_change import GapDecision
 from dosplan_mpc.limits import half_width
 from dosplan_mpc.nlp import Guess, Solution, problems, stage_steps
 from dosplan_mpc.obstacles import ChosenSets, ForbiddenSets, forbidden_sets, release, stretch_back
-from dosplan_mpc.passing import Pass, PassingDecision
+from dosplan_mpc.passing import PassingDecision
 from dosplan_mpc.reference import EgoOnPath, aligned_path
 from dosplan_mpc.road import Road
 from dosplan_mpc.sampler import Candidates, Sampler
@@ -78,8 +80,7 @@ class _Scene:
         ego: The same relative to the path.
         profile: Reference of the next steps.
         sets: Forbidden sets of the road users nearby.
-        wait: The line before which the ego has to stop, or None.
-        reason: Why the ego stops, or will, or None.
+        decision: What was decided before.
         barrier: The set behind that line, or None.
     """
 
@@ -87,14 +88,14 @@ class _Scene:
     ego: EgoOnPath
     profile: SpeedProfile
     sets: ForbiddenSets
-    wait: Wait | None
-    reason: str | None
+    decision: Decision
     barrier: ForbiddenSets | None
 
     @property
     def line(self) -> float | None:
         """Arc length of the line before which the ego has to stop, m, or None."""
-        return None if self.wait is None else self.wait.line
+        wait = self.decision.wait
+        return None if wait is None else wait.line
 
     @property
     def forbidden(self) -> ForbiddenSets:
@@ -158,10 +159,12 @@ class MpcEpisode:
         limits = LegalSpeed.of(task.route, config.speed.limit_factor)
         self._speed = SpeedPlanner(config, vehicle, self._path, windows, limits, task.dt)
         self._half_width = half_width(config, vehicle)
-        self._passing = PassingDecision(
-            config.passing, self._path, task.route, vehicle, self._half_width
+        self._decisions = Decisions(
+            StopRules(task, config.stops),
+            PassingDecision(config.passing, self._path, task.route, vehicle, self._half_width),
+            GapDecision(config.gap, self._path, task.route, road_map, vehicle, task.dt),
+            0.5 * vehicle.length,
         )
-        self._rules = StopRules(task, config.stops)
         self._road = Road(road_map, self._path, vehicle, self._half_width)
         self._sampler = Sampler(config, vehicle, self._path, self._road, task.dt)
         self._arrivals = Arrivals(config.arrival, task, self._road.area, vehicle, self._sampler)
@@ -181,7 +184,7 @@ class MpcEpisode:
         scene = self._look(observation, occupancy)
         attempts, fallback = self._attempts(observation.step, scene)
         best = min(attempts, key=lambda a: (not a.solution.usable, a.cost))
-        report = _report(attempts, best, scene.reason)
+        report = _report(attempts, best, scene.decision)
         if not best.solution.usable and fallback is not None:
             self._last = None
             return _plan(observation, fallback, replace(report, fallback="sampled"))
@@ -201,29 +204,21 @@ class MpcEpisode:
         """Where the ego is, its reference, and the sets it keeps out of."""
         ego = self._locate(observation)
         self._arclength = ego.arclength
-        passing = self._passing.decide(observation, occupancy, ego)
-        going = passing is not None and passing.waits_for is None
-        passed = passing.users if passing is not None else np.empty(0, dtype=np.int64)
-        traffic = self._lane.look_around(observation, ego, passed)
+        decision = self._decisions.about_stops(observation, occupancy, ego)
+        traffic = self._lane.look_around(observation, ego, decision.passed)
         # The road that is left on the map has to last until the final step.
         left = max(self._final_step - observation.step, 1) * self._dt
         cruise = min(traffic.cruise, max(self._farthest - ego.position, 0.0) / left)
-        half = 0.5 * self._vehicle.length
-        wait = self._rules.wait(observation, occupancy, ego.position + half)
-        stops = [] if wait is None else [wait.place - half]
-        if passing is not None and not going:
-            stops.append(passing.begin)
-        profile = self._speed.plan(ego, replace(traffic, cruise=cruise), min(stops, default=None))
-        if passing is not None and going:
-            profile = replace(profile, offset=passing.bent(profile.arclength, profile.offset))
+        profile = self._speed.plan(ego, replace(traffic, cruise=cruise), decision.stop)
+        decision = self._decisions.about_gaps(decision, observation, occupancy, ego, profile)
+        profile = decision.lead(profile)
         return _Scene(
             start=np.append(observation.ego, _previous_acceleration(observation)),
             ego=ego,
             profile=profile,
             sets=self._sets(observation, occupancy, profile, traffic),
-            wait=wait,
-            reason=_reason(observation, wait, passing),
-            barrier=None if wait is None else self._barrier(wait),
+            decision=decision,
+            barrier=None if decision.wait is None else self._barrier(decision.wait),
         )
 
     def _penalty(self) -> FloatArray:
@@ -428,7 +423,7 @@ def _any_usable(attempts: list[_Attempt]) -> bool:
     return any(attempt.solution.usable for attempt in attempts)
 
 
-def _report(attempts: list[_Attempt], best: _Attempt, reason: str | None) -> SolveReport:
+def _report(attempts: list[_Attempt], best: _Attempt, decision: Decision) -> SolveReport:
     """Times and iterations of all attempts of a cycle, and the rest of the best one."""
     solution = best.solution
     touched = best.sets.touched(solution.set_slack, _SEEN)
@@ -439,17 +434,9 @@ def _report(attempts: list[_Attempt], best: _Attempt, reason: str | None) -> Sol
         slack=float(solution.set_slack.max()),
         road_slack=best.road_slack,
         active_ids=tuple(i for i in touched if i != BARRIER_ID),
-        waits_for=reason,
+        waits_for=decision.reason,
+        decision=decision.words,
     )
-
-
-def _reason(observation: Observation, wait: Wait | None, passing: Pass | None) -> str | None:
-    """Why the ego stops, or None."""
-    if wait is not None:
-        return wait.reason
-    if passing is None or passing.waits_for is None:
-        return None
-    return f"{passing.waits_for}, to pass {observation.ids[passing.users[0]]}"
 
 
 def _plan(observation: Observation, guess: Guess | Arrival, report: SolveReport) -> Plan:

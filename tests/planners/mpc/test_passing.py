@@ -70,6 +70,7 @@ def test_a_lorry_on_the_lane_is_passed_while_nobody_comes(
     row, episode = drive(tmp_path, [lorry(70.0)], side=side, arm=arm)
     assert row.outcome is Outcome.SUCCESS, row
     assert not reasons(episode)
+    assert "pass 500" in {plan.report.decision for plan in episode.plans}
     beside = episode.states[np.abs(episode.states[:, 0] - 70.0) < 4.0]
     assert np.all(side * beside[:, 1] > 2.0)
     assert abs(episode.states[-1, 1]) < 0.5  # Back on its own lane.
@@ -81,6 +82,7 @@ def test_the_ego_waits_for_who_comes_and_passes_then(tmp_path: Path) -> None:
     row, episode = drive(tmp_path, users, arm=Arm.WITHOUT_DOS)
     assert row.outcome is Outcome.SUCCESS, row
     assert "600, to pass 500" in reasons(episode)
+    assert "wait for 600, to pass 500" in {plan.report.decision for plan in episode.plans}
     beside = np.flatnonzero(np.abs(episode.states[:, 0] - 70.0) < 4.0)
     comer = 125.0 - 10.0 * 0.1 * beside
     assert np.all(comer < 70.0)  # It is through before the ego is beside the lorry.

@@ -1,0 +1,179 @@
+"""What the planner decides before it optimises: gaps between others, and in which words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dosplan_mpc.config import GapSettings, MpcConfig
+from dosplan_mpc.lane_change import Gap, GapDecision, lane_changes
+from dosplan_mpc.planner import MpcPlanner
+from dosplan_mpc.reference import EgoOnPath, aligned_path
+from dosplan_mpc.speed_profile import SpeedProfile
+from dosplan_simple.sets import ErrorCirclePredictor
+
+from dosplan.scenario import load_scenario
+from dosplan.scoring.score import score
+from dosplan.simulation.loop import run_episode
+from dosplan.types import (
+    Arm,
+    Observation,
+    Occupancy,
+    Outcome,
+    RoadUserKind,
+    Scenario,
+)
+from dosplan.vehicle import VehicleParameters
+from tests.support import scenes
+
+PARKED = "<rectangle><length>4.6</length><width>1.9</width></rectangle>"
+STEPS = 80
+DEFAULT = GapSettings()
+
+
+def column_scene(
+    folder: Path, speed: float, places: Sequence[float], start: float, left: bool
+) -> Scenario:
+    """The ego has to go to the other of two lanes, on which a column drives.
+
+    Args:
+        folder: Where the file is written.
+        speed: Speed of the column, m/s.
+        places: Where its cars are at the beginning, m.
+        start: Where the ego stands.
+        left: Whether the ego has to go to the left.
+    """
+    own, other = (0.0, 3.5) if left else (3.5, 0.0)
+    users = [
+        scenes.User(100 + i, scenes.driving(x, other, speed, STEPS + 1))
+        for i, x in enumerate(places)
+    ]
+    parked = scenes.User(
+        500, [(start + 12.0, own, 0.0, 0.0)], kind="parkedVehicle", shape=PARKED, static=True
+    )
+    goal = scenes.Goal(STEPS, STEPS, scenes.on_lanelets(101 if left else 100))
+    path = scenes.write_scenario_xml(
+        folder / "column.xml",
+        scenes.straight_road(lanes=2, length=400.0),
+        [*users, parked],
+        [scenes.Problem(start=(start, own, 0.0, 0.0), goals=(goal,))],
+    )
+    return load_scenario(path)
+
+
+def without_repeats(words: Sequence[str | None]) -> list[str]:
+    said = [word for word in words if word is not None]
+    return [word for i, word in enumerate(said) if i == 0 or word != said[i - 1]]
+
+
+@pytest.mark.parametrize("left", [False, True], ids=["to the right", "to the left"])
+def test_the_one_gap_of_a_column_is_taken_and_kept(tmp_path: Path, left: bool) -> None:
+    # 16 m from centre to centre; the ego stands beside its end, a parked car blocks its own lane.
+    places = [140.0, 132.0, 124.0, 108.0, 100.0, 92.0]
+    scenario = column_scene(tmp_path, 2.0, places, 120.0, left)
+    episode = run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), Arm.WITH_DOS)
+    row = score(scenario, episode)
+    assert row.outcome is Outcome.SUCCESS, row
+    decisions = without_repeats([plan.report.decision for plan in episode.plans])
+    assert decisions == ["change lanes behind 102 and in front of 103"]
+
+
+class Decider:
+    """A decision for a gap on a straight road, cycle by cycle, with the ego where it is put."""
+
+    def __init__(self, folder: Path, settings: GapSettings = DEFAULT) -> None:
+        self.scenario = column_scene(folder, 8.0, [0.0], 100.0, left=True)
+        self.path = aligned_path(self.scenario.task, MpcConfig().path)
+        self.decision = GapDecision(
+            settings,
+            self.path,
+            self.scenario.task.route,
+            self.scenario.road_map,
+            VehicleParameters(),
+            0.1,
+        )
+
+    def decide(self, places: Sequence[float], speed: float = 8.0) -> Gap | None:
+        """Others are that far ahead of the ego, on the lane that it goes to; it drives as fast."""
+        task, n = self.scenario.task, len(places)
+        ahead = np.array(places)
+        now = np.column_stack([120.0 + ahead, np.full(n, 3.5), np.zeros(n), np.full(n, speed)])
+        ego = task.start.copy()
+        ego[0] = 120.0 - VehicleParameters().rear_to_centre
+        observation = Observation(
+            step=0,
+            dt=0.1,
+            ego=ego,
+            ego_history=np.tile(ego, (2, 1)),
+            ids=np.arange(n) + 1,
+            kinds=(RoadUserKind.CAR,) * n,
+            size=np.tile([4.6, 1.9], (n, 1)),
+            states=np.repeat(now[:, None], 2, axis=1),
+            valid=np.ones((n, 2), dtype=np.bool_),
+            road_map=self.scenario.road_map,
+            task=task,
+        )
+        seconds = 0.1 * np.arange(1, 31)
+        centre = np.repeat(now[:, None, :2], 30, axis=1)
+        centre[..., 0] += speed * seconds
+        occupancy = Occupancy.from_trajectory(observation, centre, np.zeros((n, 30)))
+        position = float(self.path.locate(np.array([120.0, 0.0])))
+        offset = float(self.path.project(np.array([120.0, 0.0]), np.array(position))[1])
+        place = EgoOnPath(0, position - VehicleParameters().rear_to_centre, offset, position, speed)
+        steps = np.arange(31)
+        profile = SpeedProfile(
+            velocity=np.full(31, speed),
+            arclength=np.asarray(position + 0.1 * speed * steps, dtype=np.float64),
+            station_weight=np.zeros(31),
+            offset=np.zeros(31),
+            right=np.full(31, -np.inf),
+            left=np.full(31, np.inf),
+            heading=np.zeros(31),
+            heading_weight=np.zeros(31),
+        )
+        return self.decision.decide(observation, occupancy, place, profile)
+
+
+def test_a_change_of_lanes_has_its_place_along_the_path(tmp_path: Path) -> None:
+    scenario = column_scene(tmp_path, 8.0, [0.0], 100.0, left=True)
+    path = aligned_path(scenario.task, MpcConfig().path)
+    (change,) = lane_changes(scenario.task.route, scenario.road_map, path)
+    for x in (90.0, 200.0):
+        for at, y in ((change.before, 0.0), (change.after, 3.5)):
+            point = np.array([x, y])
+            along = path.locate(point)
+            assert float(at(along)) == pytest.approx(float(path.project(point, along)[1]), abs=0.1)
+    assert change.width == pytest.approx(3.5)
+    assert change.until - change.begin > 250.0
+
+
+def test_nothing_is_decided_where_nobody_is_in_the_way(tmp_path: Path) -> None:
+    assert Decider(tmp_path).decide([-60.0, 80.0]) is None
+
+
+def test_a_gap_is_kept_while_another_one_is_hardly_better(tmp_path: Path) -> None:
+    # Who is abeam is passed or let by; which is better changes with every cycle's noise.
+    noise = np.random.default_rng(4).normal(0.0, 0.4, (20, 3))
+    places = np.array([-20.0, 1.0, 20.0]) + noise
+
+    def sides(settings: GapSettings) -> set[tuple[int | None, int | None]]:
+        decider = Decider(tmp_path, settings)
+        gaps = [decider.decide(row) for row in places.tolist()]
+        assert all(gap is not None for gap in gaps)
+        return {(gap.behind, gap.front) for gap in gaps if gap is not None}
+
+    assert len(sides(GapSettings(keeping=0.0))) > 1
+    assert len(sides(DEFAULT)) == 1
+
+
+def test_a_gap_is_given_up_when_it_closes(tmp_path: Path) -> None:
+    decider = Decider(tmp_path)
+    first = decider.decide([-20.0, 1.5, 20.0])
+    assert first is not None
+    assert (first.behind, first.front) == (2, 1)
+    # The last one closes up.
+    other = decider.decide([-6.0, 1.5, 20.0])
+    assert other is not None
+    assert (other.behind, other.front) == (3, 2)

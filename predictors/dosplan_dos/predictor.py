@@ -23,6 +23,7 @@ from dosplan.types import (
     PlanningTask,
     RoadMap,
 )
+from dosplan_dos.adaptation import Adaptation
 from dosplan_dos.calibration import (
     CalibratedFor,
     Calibration,
@@ -73,6 +74,9 @@ class DosSettings(PredictorSettings):
         conditional: Whether the factors of a coverage follow what is known of each road user (the
             noise of its track, whether it brakes or turns, the road ahead, its leader), instead of
             its kind and speed alone.
+        adaptation: How fast the sets of a road user grow, in an episode, where it leaves earlier
+            ones, for a coverage; 0.2 makes them a fifth larger at a step at which all failed. By
+            default they do not; ``adaptation`` says what it guarantees.
         simultaneous: Whether to cover all steps of the horizon at once with that probability,
             instead of each step.
         base: Where the centres come from; by default the network of ``network``.
@@ -90,6 +94,7 @@ class DosSettings(PredictorSettings):
     coverage: float | None = None
     calibration: CalibratedFor = CalibratedFor.AUTO
     conditional: bool = False
+    adaptation: float = 0.0
     simultaneous: bool = False
     base: PluginSpec[Predictor] | None = None
     network: Path | None = None
@@ -104,8 +109,11 @@ class DosSettings(PredictorSettings):
             raise ValueError("give a scale or a coverage, not both")
         if self.scale < 0.0:
             raise ValueError(f"scale is {self.scale}, expected 0 or more")
-        if self.conditional and self.coverage is None:
-            raise ValueError("conditional goes with a coverage only")
+        if not 0.0 <= self.adaptation <= 1.0:
+            raise ValueError(f"adaptation is {self.adaptation}, expected 0 to 1")
+        for name in ("conditional", "adaptation"):
+            if getattr(self, name) and self.coverage is None:
+                raise ValueError(f"{name} goes with a coverage only")
         if self.coverage is not None and not 0.0 < self.coverage < 1.0:
             raise ValueError(f"coverage is {self.coverage}, expected a share between 0 and 1")
         if self.base is not None:
@@ -174,6 +182,8 @@ class DosPredictor(Predictor):
         self.base: Predictor = (settings.base or own).build(seed)
         network, sets = settings.network or shipped_weights(), settings.sets_file
         self._sizes, calibrations = _sizes(settings)
+        self._rate, self._coverage = settings.adaptation, settings.coverage
+        self._adaptation = self._new_adaptation()
         self._files = (network, sets, *calibrations)
         self._module = shared_module(sets, settings.engine, settings.threads)
         self.encoder = shared_encoder(network, settings.engine, settings.threads, settings.lights)
@@ -184,6 +194,7 @@ class DosPredictor(Predictor):
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
         """Begins an episode of the trajectory predictor and reads the map."""
+        self._adaptation = self._new_adaptation()
         self.base.reset(task, road_map)
         self.encoder.prepare(road_map)
 
@@ -208,11 +219,22 @@ class DosPredictor(Predictor):
             )
             lengths, turned = (array.astype(np.float64) for array in made)
             lengths *= self._sizes.factors(observation, encoded)[..., None]
+            if self._adaptation is not None:
+                lengths *= self._adaptation.observe(observation)[moving, None, None]
             semi_axes[moving] = every_step(lengths)[:, : self.horizon]
             double = every_step(turned)[:, : self.horizon]
             heading = observation.states[moving, -1, USER_HEADING, None]
             angle[moving] = heading + 0.5 * np.arctan2(double[..., 1], double[..., 0])
-        return replace(trajectory.first_steps(self.horizon), semi_axes=semi_axes, angle=angle)
+        sets = replace(trajectory.first_steps(self.horizon), semi_axes=semi_axes, angle=angle)
+        if self._adaptation is not None:
+            self._adaptation.remember(observation, sets)
+        return sets
+
+    def _new_adaptation(self) -> Adaptation | None:
+        """What is learned in an episode, at its beginning; None where nothing is."""
+        if not self._rate or self._coverage is None:
+            return None
+        return Adaptation(self._rate, self._coverage)
 
     def _local(
         self, observation: Observation, trajectory: Occupancy, encoded: Encoded

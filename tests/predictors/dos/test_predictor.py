@@ -134,6 +134,8 @@ def test_a_shorter_horizon_is_the_beginning(settings: DosSettings, horizon: int)
         ({"coverage": 1.5}, "coverage is 1.5, expected a share between 0 and 1"),
         ({"coverage": 0.0}, "coverage is 0.0, expected a share between 0 and 1"),
         ({"conditional": True}, "conditional goes with a coverage only"),
+        ({"adaptation": 0.2}, "adaptation goes with a coverage only"),
+        ({"adaptation": 2.0, "coverage": 0.9}, "adaptation is 2.0, expected 0 to 1"),
         ({"horizon": 41}, "horizon is 41, expected 40 or less"),
         ({"horizon": 0}, "horizon is 0, expected 1 or more"),
         ({"threads": 0}, "threads is 0, expected 1 or more"),

@@ -33,6 +33,8 @@ PREDICTORS: Final = {
     "ground-truth": (Arm.WITHOUT_DOS,),
     "wale-net": tuple(Arm),
 }
+TIMEOUT: Final = 6.0 * 3600.0
+"""Seconds for an episode: however busy the machine is, that is no failure of a planner."""
 BY_DEFAULT: Final = ("dos", "constant-velocity", "ground-truth")  # Wale-Net takes hours.
 COLUMNS: Final = (
     "success",
@@ -68,6 +70,7 @@ def main() -> None:
                 limit=options.limit,
                 ranked=predictor != "ground-truth",
                 cache=True,
+                episode_timeout=TIMEOUT,
             )
             with show_run(console(stderr=True)) as observer:
                 summary = read_summary(run(config, observer))

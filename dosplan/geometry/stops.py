@@ -21,6 +21,7 @@ from dosplan.types import (
     USER_VELOCITY,
     BoolArray,
     FloatArray,
+    IntArray,
     LightColour,
     Observation,
     Occupancy,
@@ -158,12 +159,17 @@ class _Forecast:
     """Where the road users are now (column 0) and at the next steps.
 
     Attributes:
-        corners: (N, S, 4, 2) corners of the rectangles that hold them, m.
-        valid: (N, S) whether they are there.
+        corners: (R, S, 4, 2) corners of the rectangles that hold them, one for each component of
+            a set, m.
+        valid: (R, S) whether they are there.
+        rows: (R,) rows of the N road users.
+        count: Their number N.
     """
 
     corners: FloatArray
     valid: BoolArray
+    rows: IntArray
+    count: int
 
     @classmethod
     def of(cls, scene: _Scene, steps: int) -> Self:
@@ -173,12 +179,13 @@ class _Forecast:
             scene: The present.
             steps: Number of steps.
         """
-        observation, occupancy = scene.observation, scene.occupancy
-        known, now = min(steps, occupancy.horizon), observation.present
-        centre = np.concatenate([now[:, None, :2], occupancy.centre[:, :known]], axis=1)
-        heading = np.concatenate([now[:, None, USER_HEADING], occupancy.heading[:, :known]], axis=1)
-        size = np.concatenate([observation.size[:, None], set_sizes(occupancy, known)], axis=1)
-        valid = np.concatenate([observation.valid[:, -1:], occupancy.valid[:, :known]], axis=1)
+        observation = scene.observation
+        sets, rows, _ = scene.occupancy.by_component()
+        known, now = min(steps, sets.horizon), observation.present[rows]
+        centre = np.concatenate([now[:, None, :2], sets.centre[:, :known]], axis=1)
+        heading = np.concatenate([now[:, None, USER_HEADING], sets.heading[:, :known]], axis=1)
+        size = np.concatenate([observation.size[rows, None], set_sizes(sets, known)], axis=1)
+        valid = np.concatenate([observation.valid[rows, -1:], sets.valid[:, :known]], axis=1)
         if steps > known:
             later = np.arange(1, steps - known + 1)[:, None]
             moved = centre[:, -1:] + later * (centre[:, -1:] - centre[:, -2:-1])
@@ -188,19 +195,22 @@ class _Forecast:
                 for part in (heading, size, valid)
             )
         poses = np.concatenate([centre, heading[..., None]], axis=-1)
-        return cls(rectangle_corners(np.where(valid[..., None], poses, 0.0), size), valid)
+        corners = rectangle_corners(np.where(valid[..., None], poses, 0.0), size)
+        return cls(corners, valid, rows, len(observation.ids))
 
     def meets(self, area: shapely.Geometry, first: int, last: int) -> BoolArray:
         """(N,) whether a road user is in an area at any of the steps ``first .. last``."""
         corners, valid = self.corners[:, first : last + 1], self.valid[:, first : last + 1]
+        found = np.zeros(self.count, dtype=np.bool_)
         if area.is_empty or corners.size == 0:
-            return np.zeros(len(corners), dtype=np.bool_)
+            return found
         west, south, east, north = area.bounds
         low, high = corners.min(axis=-2), corners.max(axis=-2)
         near = valid & (low <= [east, north]).all(axis=-1) & (high >= [west, south]).all(axis=-1)
         meets = np.zeros(near.shape, dtype=np.bool_)
         meets[near] = shapely.intersects(area, shapely.polygons(corners[near]))
-        return np.asarray(meets.any(axis=1))
+        found[self.rows[meets.any(axis=1)]] = True
+        return found
 
 
 class StopRules:

@@ -165,15 +165,16 @@ def find_leaders(
     Returns:
         Every road user and step that blocks the corridor ahead of the ego.
     """
-    steps = min(settings.searched_steps, occupancy.horizon)
-    valid = occupancy.valid[:, :steps]
-    corners = set_corners(occupancy, steps)
+    sets, rows, _ = occupancy.by_component()
+    steps = min(settings.searched_steps, sets.horizon)
+    valid = sets.valid[:, :steps]
+    corners = set_corners(sets, steps)
     s = path.locate(corners)
     lateral = path.offset(corners, s)
     side = 0.5 * vehicle.width + settings.side_margin
     blocks = valid & (lateral.min(axis=-1) < side) & (lateral.max(axis=-1) > -side)
 
-    now = path.locate(observation.present[:, :2])
+    now = path.locate(observation.present[rows, :2])
     then = path.locate(corners.mean(axis=-2))
     way = then - now[:, None]
     time = observation.dt * np.arange(1, steps + 1)

@@ -186,6 +186,10 @@ class SetSettings:
         release_seconds: Time after which a set that holds the ego now counts in full, s.
         smallest_release: Share below which such a set is never shrunk.
         release_distance: Normalised distance that the ego has to a shrunk set.
+        aside: Distance to the ego's way from which on a further component of a union is left out,
+            m.
+        least_price: Share of the penalty that a component of a union has at least; what the most
+            likely one of its road user has is the whole.
     """
 
     watched: int = 16
@@ -194,12 +198,14 @@ class SetSettings:
     release_seconds: float = 1.5
     smallest_release: float = 0.6
     release_distance: float = 1.02
+    aside: float = 15.0
+    least_price: float = 0.2
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
             positive={"release_seconds", "smallest_release", "release_distance"},
-            shares={"smallest_release"},
+            shares={"smallest_release", "least_price"},
         )
 
 

@@ -25,6 +25,7 @@ from dosplan.types import (
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.arrival import Arrival, Arrivals
 from dosplan_mpc.barrier import BARRIER_ID, barrier
+from dosplan_mpc.components import Components
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.decision import Decision, Decisions
 from dosplan_mpc.goal_window import locate_goals
@@ -251,14 +252,13 @@ class MpcEpisode:
         """Forbidden sets of the road users that come closest to where the ego will be."""
         config, n = self._config, self._config.horizon
         way = self._path.at(profile.arclength[1:])[:, :2]
-        delta = np.where(occupancy.valid[:, :n, None], occupancy.centre[:, :n] - way, np.inf)
-        away = np.sqrt((delta**2).sum(axis=-1)).min(axis=-1, initial=np.inf)
-        keep = np.argsort(away, kind="stable")[: config.sets.watched]
-        keep = keep[np.isfinite(away[keep])]
+        near = Components.near(occupancy, way, config.sets)
+        penalty = near.price[:, None] * self._penalty()
         # An episode ends with its goal's deadline: nothing later may block the last metres.
         extended = max(self._final_step - observation.step, 0) if self._has_goals else n
-        sets = forbidden_sets(occupancy, self._radius, keep, self._penalty(), extended)
-        sets = stretch_back(sets, traffic.followers[keep], config.sets.tail)
+        sets = forbidden_sets(near.sets, self._radius, near.keep, penalty, extended)
+        followers = traffic.followers[near.rows[near.keep]]
+        sets = stretch_back(sets, followers, config.sets.tail)
         return release(sets, self._sampler.disc_centres(observation.ego), self._dt, config.sets)
 
     def _attempts(self, step: int, scene: _Scene) -> tuple[list[_Attempt], Guess | None]:

@@ -10,6 +10,8 @@ superellipse, ``(|A n_x|^(4/3) + |B n_y|^(4/3))^(3/4)``, is nowhere below that o
 ``h_x |n_x| + h_y |n_y| + sqrt(n' Q n) + r``: then the superellipse holds S (Rockafellar, "Convex
 Analysis", theorem 13.1). The scale is found on a fan of directions; ``_FAN_MARGIN`` covers what
 lies between them.
+
+A set that is a union of ellipses is forbidden component by component (``components``).
 """
 
 from __future__ import annotations
@@ -262,13 +264,13 @@ def forbidden_sets(
         occupancy: Predicted sets.
         radius: Radius of the ego's discs, m.
         keep: (n,) rows of the road users that matter.
-        penalty: (T,) penalty at each step that is wanted.
+        penalty: (T,) penalty at each step that is wanted, or (n, T) of each of them.
         extended: Number of steps with sets; after them the predicted positions alone count.
 
     Returns:
         Their forbidden sets; where a road user is not predicted, its set is out of reach.
     """
-    horizon = len(penalty)
+    horizon = penalty.shape[-1]
     valid = occupancy.valid[keep, :horizon]
     heading = np.where(valid, occupancy.heading[keep, :horizon], 0.0)
     centre = np.where(valid[..., None], occupancy.centre[keep, :horizon], 0.0)

@@ -218,13 +218,14 @@ class PassingDecision:
         speed = max(ego.velocity, settings.speed)
         seconds = way / speed + settings.reserve
         # The quickest of what a set allows: its far end at the horizon.
-        t = occupancy.horizon - 1
-        seen = occupancy.valid[:, t]
-        far = np.where(seen[:, None], occupancy.centre[:, t], now[:, :2])
-        reach = self._path.locate(far) - occupancy.semi_axes[:, t].max(axis=-1)
+        sets, rows, _ = occupancy.by_component()
+        t = sets.horizon - 1
+        far = np.where(sets.valid[:, t, None], sets.centre[:, t], now[rows, :2])
+        reach = self._path.locate(far) - sets.semi_axes[:, t].max(axis=-1)
         ahead = (t + 1) * observation.dt
-        fastest = np.where(seen, (along - reach) / ahead, now[:, USER_VELOCITY])
-        fastest = np.maximum(fastest, now[:, USER_VELOCITY])
+        allowed = np.where(sets.valid[:, t], (along[rows] - reach) / ahead, -np.inf)
+        fastest = np.array(now[:, USER_VELOCITY])
+        np.maximum.at(fastest, rows, allowed)
         until = along - 0.5 * observation.size[:, 0] - fastest * seconds
         meets = comes & (until < found.end)
         return int(observation.ids[np.argmax(meets)]) if meets.any() else None

@@ -302,7 +302,11 @@ def _goal_velocity(goal: GoalState, velocity: float) -> float:
 
 
 def _predictions(occupancy: Occupancy) -> dict[int, Any]:
-    """The predicted positions for as long as each road user stays on the scene."""
+    """The predicted positions for as long as each road user stays on the scene.
+
+    Of a union, these are of the most likely component: the cost that they are for knows no weights.
+    """
+    occupancy = occupancy.likeliest()
     covariance = np.zeros((6, 6), order="F")
     covariance[:2, :2] = COVARIANCE * np.eye(2)
     half = 0.5 * occupancy.heading

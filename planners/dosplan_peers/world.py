@@ -69,8 +69,9 @@ def moving_rectangles(occupancy: Occupancy, step: int, steps: int) -> list[Any]:
 
     Returns:
         A ``pycrcc.TimeVariantCollisionObject`` for each stretch of steps at which a road user is
-        predicted to be on the scene.
+        predicted to be on the scene; where its set is a union, for each of the components.
     """
+    occupancy, _, _ = occupancy.by_component()
     sizes = set_sizes(occupancy)
     valid = np.pad(occupancy.valid[:, :steps].astype(np.int8), ((0, 0), (1, 1)))
     edges = np.diff(valid, axis=1)

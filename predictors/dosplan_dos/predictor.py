@@ -204,7 +204,7 @@ class DosPredictor(Predictor):
         Returns:
             The base's trajectories with ellipses.
         """
-        trajectory = self.base.predict(observation)
+        trajectory = self.base.predict(observation).likeliest()
         encoded = self.encoder.encode(observation)
         semi_axes = np.zeros((len(observation.ids), self.horizon, 2))
         angle = np.zeros((len(observation.ids), self.horizon))

@@ -196,7 +196,7 @@ class CirclePredictor(Predictor):
         Returns:
             The base's centres with circles of the rule's radius.
         """
-        trajectory = self.base.predict(observation).first_steps(self.horizon)
+        trajectory = self.base.predict(observation).likeliest().first_steps(self.horizon)
         moves = observation.moves
         radius = moves[:, None] * self.radius(observation.dt)
         return replace(

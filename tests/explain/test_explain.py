@@ -17,7 +17,6 @@ from dosplan.explain.collision import CollisionFacts, Course
 from dosplan.explain.goal import GoalFacts
 from dosplan.explain.planning import PlanningFacts
 from dosplan.explain.road import RoadFacts
-from dosplan.geometry import occupancy_of_union
 from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
 from dosplan.results.recording import Recording
@@ -48,13 +47,12 @@ from dosplan.types import (
     RoadMap,
     RoadUserKind,
     Scenario,
-    SetUnion,
     SolveReport,
     SolveStatus,
     Tracks,
 )
 from dosplan.vehicle import VehicleParameters
-from tests.support.factories import arc_route
+from tests.support.factories import arc_route, union_of
 from tests.support.old_files import save_as_version_0_4
 from tests.support.plugins import CoastPlanner, GrowingPredictor
 from tests.support.runs import run_leaky, write_followed
@@ -155,15 +153,8 @@ class Unions(Discs):
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         sets = super().compute_occupancy(observation)
-        centre = np.stack([sets.centre, sets.centre + np.array([0.0, 30.0])], axis=1)
-        union = SetUnion(
-            weight=np.tile([0.25, 0.75], (len(sets.ids), 1)),
-            centre=centre,
-            semi_axes=np.full_like(centre, self.radius),
-            angle=np.zeros(centre.shape[:-1]),
-            heading=np.zeros(centre.shape[:-1]),
-        )
-        return occupancy_of_union(observation, union)
+        aside = replace(sets, centre=sets.centre + np.array([0.0, 30.0]))
+        return union_of([0.25, 0.75], sets, aside)
 
 
 def test_of_a_union_the_component_tells_that_held_or_failed_by_the_least(tmp_path: Path) -> None:

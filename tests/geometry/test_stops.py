@@ -20,7 +20,7 @@ from dosplan.types import (
     RouteStop,
     StopCause,
 )
-from tests.support.factories import ruled_scenario, stop_at
+from tests.support.factories import ruled_scenario, stop_at, union_of
 
 LINE = 60.0  # Arc length; x is 20 m less.
 LIGHT = stop_at(StopCause.LIGHT, 40.0, 60.0, lights=(7,))
@@ -97,6 +97,21 @@ def test_prediction_that_is_short_goes_on_as_it_ends() -> None:
     wait = rules.wait(at(seen, 0.0), growing_sets(seen, 20), LINE - 1.0)
     assert wait is not None
     assert wait.reason == "give way to 100"
+
+
+def test_way_is_given_to_any_component_of_a_union() -> None:
+    stop = stop_at(StopCause.GIVE_WAY, 40.0, 60.0, conflict=box(43.0, -10.0, 49.0, 10.0))
+    rules, seen = begun(stop, users=[[46.0, -30.0, np.pi / 2.0, 10.0]])
+    comes, aside = growing_sets(seen), np.array([60.0, 0.0])
+    turns = replace(comes, centre=comes.centre + aside)
+    assert rules.wait(at(seen, 0.0), turns, LINE - 1.0) is None
+    both = union_of([0.9, 0.1], turns, comes)
+    assert rules.wait(at(seen, 0.0), both, LINE - 1.0) is not None
+    # Nobody is in the room between the components.
+    other = replace(comes, centre=comes.centre - aside)
+    beside = union_of([0.5, 0.5], turns, other)
+    assert rules.wait(at(seen, 0.0), beside, LINE - 1.0) is None
+    assert rules.wait(at(seen, 0.0), replace(beside, union=None), LINE - 1.0) is not None
 
 
 @pytest.mark.parametrize(("delay", "waits"), [(0, True), (3, False)])

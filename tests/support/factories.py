@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from shapely import Geometry, Polygon
 
+from dosplan.geometry import covering_ellipse
 from dosplan.scenario.synthetic import CAR_SIZE, steady_tracks, straight_scenario
 from dosplan.types import (
     COLOURS,
@@ -129,3 +130,14 @@ def random_union(
         angle=rng.uniform(-9.0, 9.0, (users, count, steps)),
         heading=rng.uniform(-9.0, 9.0, (users, count, steps)),
     )
+
+
+def union_of(weights: Sequence[float], *parts: Occupancy) -> Occupancy:
+    """Sets that are unions of those of several occupancies of the same road users."""
+    names = ("centre", "semi_axes", "angle", "heading")
+    union = SetUnion(
+        weight=np.tile(weights, (len(parts[0].ids), 1)),
+        **{name: np.stack([getattr(part, name) for part in parts], axis=1) for name in names},
+    )
+    centre, semi_axes, angle = covering_ellipse(union)
+    return replace(parts[0], centre=centre, semi_axes=semi_axes, angle=angle, union=union)

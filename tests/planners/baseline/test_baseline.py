@@ -48,7 +48,7 @@ from dosplan.types import (
     Scenario,
 )
 from dosplan.vehicle import VehicleParameters
-from tests.support.factories import arc_route, occupancy_at
+from tests.support.factories import arc_route, occupancy_at, union_of
 
 VEHICLE = VehicleParameters()
 FRONT = VEHICLE.rear_to_centre + 0.5 * VEHICLE.length
@@ -194,6 +194,21 @@ def test_who_cuts_in_within_the_time_gap_is_a_leader() -> None:
         car = [30.0, 3.0, math.atan2(sideways, 8.0), math.hypot(8.0, sideways)]
         gap, _ = leaders_of(straight_scenario(steady_tracks([car])))
         assert math.isfinite(gap) == blocks
+
+
+def test_a_component_of_a_union_that_cuts_in_is_a_leader() -> None:
+    scenario = straight_scenario(steady_tracks([[30.0, 3.5, 0.0, 8.0]]))
+    seen = World(scenario, first_step=0, history=5).observation()
+    stays = ConstantVelocityPredictor().predict(seen)
+    aside = np.minimum(0.25 * np.arange(1, stays.horizon + 1), 3.5)
+    cuts_in, leaves = (
+        replace(stays, centre=stays.centre + side * np.stack([0.0 * aside, aside], axis=-1))
+        for side in (-1.0, 1.0)
+    )
+    gap, velocity = leaders_of(scenario, union_of([0.9, 0.1], stays, cuts_in))
+    assert gap == pytest.approx(30.0 - 2.25 - FRONT)
+    assert velocity == pytest.approx(8.0)
+    assert math.isnan(leaders_of(scenario, union_of([0.9, 0.1], stays, leaves))[0])
 
 
 def test_sets_widen_what_blocks() -> None:

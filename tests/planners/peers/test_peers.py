@@ -38,7 +38,7 @@ from dosplan.types import (
     StopCause,
 )
 from dosplan.vehicle import VehicleParameters
-from tests.support.factories import ruled_scenario, stop_at
+from tests.support.factories import ruled_scenario, stop_at, union_of
 from tests.support.peers import NEEDS, skip_where_missing
 
 if find_spec("commonroad_dc") is None:
@@ -80,6 +80,15 @@ def test_each_stretch_on_the_scene_is_an_obstacle_of_its_own() -> None:
     assert moving_rectangles(replace(sets, valid=np.zeros((1, 5), dtype=np.bool_)), 10, 5) == []
     box = moving_rectangles(sets, 10, 5)[0].obstacle_at_time(12)
     assert (box.r_x(), box.r_y()) == pytest.approx((3.0, 1.0))
+
+
+def test_each_component_of_a_union_is_an_obstacle_of_its_own() -> None:
+    near = one_set((1.0, 0.5), 0.0, 0.0, (True, True))
+    far = replace(near, centre=near.centre + np.array([0.0, 30.0]), semi_axes=2.0 * near.semi_axes)
+    found = moving_rectangles(union_of([0.25, 0.75], near, far), 10, 2)
+    boxes = [obstacle.obstacle_at_time(11) for obstacle in found]
+    assert [(box.r_x(), box.r_y()) for box in boxes] == [(4.0, 2.0), (3.0, 1.5)]
+    assert [box.center().tolist() for box in boxes] == [[0.0, 30.0], [0.0, 0.0]]
 
 
 def test_what_is_swept_holds_both_poses() -> None:

@@ -44,7 +44,10 @@ class Actuators:
         """Follows an input for a step.
 
         The input that is applied is the mean of the lag's answer over the step, so that velocity
-        and steering angle at the step's end are those of the exact answer.
+        and steering angle at the step's end are those of the exact answer. The steering's lag is
+        that of Autoware's ``simple_planning_simulator``: the wheels go to an angle that is asked
+        for at a rate in proportion to what is missing, which is cut to the largest one. So more
+        than that rate may be asked for, to have it sooner.
 
         Args:
             ego: (5,) ego state.
@@ -58,6 +61,11 @@ class Actuators:
         asked = self._vehicle.clip_input(ego, wanted, self._dt)
         if not self.lag:
             return asked, output
+        if self.left[0] > 0.0:  # What limits a lagging rate is the rate that comes of it.
+            asked[0] = wanted[0]
         behind = output - asked
         applied = self._vehicle.clip_input(ego, asked + self.mean * behind, self._dt)
-        return applied, asked + self.left * behind
+        output = asked + self.left * behind
+        fastest = self._vehicle.max_steering_rate
+        output[0] = min(max(output[0], -fastest), fastest)
+        return applied, output

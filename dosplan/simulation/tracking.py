@@ -42,7 +42,7 @@ _STEERING: Final = 0.05  # rad
 _VELOCITY: Final = 0.2  # m/s
 _HEADING: Final = 0.05  # rad
 # Of what the actuators are asked for, from what is planned:
-_STEERING_RATE: Final = 0.1  # rad/s
+_STEERING_RATE: Final = 0.5  # rad/s
 _ACCELERATION: Final = 1.0  # m/s2
 
 

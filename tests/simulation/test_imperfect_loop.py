@@ -27,6 +27,7 @@ from dosplan.scenario.synthetic import (
     steady_tracks,
     straight_scenario,
 )
+from dosplan.simulation.actuators import Actuators
 from dosplan.simulation.loop import run_episode
 from dosplan.simulation.sensing import Sensors, gaps_of, gauss_markov
 from dosplan.simulation.settings import (
@@ -233,6 +234,20 @@ def test_the_actuators_answer_a_step_as_a_first_order_lag(lag: float) -> None:
     np.testing.assert_allclose(world.driven[:, EGO_VELOCITY], answer, atol=1e-12)
     angle = 0.02 * (t - 2.0 * lag * -np.expm1(-t / (2.0 * lag)))
     np.testing.assert_allclose(world.driven[:, EGO_STEERING], angle, atol=1e-12)
+
+
+def test_wheels_reach_the_largest_rate_sooner_where_more_is_asked_for_and_no_more_than_it() -> None:
+    """As in Autoware's simulator, what is cut is the rate of the wheels."""
+    vehicle, most = VehicleParameters(), VehicleParameters().max_steering_rate
+    actuators = Actuators(ActuatorSettings(steering=0.27), vehicle, 0.1)
+    ego = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
+    asked, more = np.array([most, 0.0]), np.array([10.0 * most, 0.0])
+    assert actuators.follow(ego, asked, np.zeros(2))[0][0] < 0.3 * most
+    applied, output = actuators.follow(ego, more, np.zeros(2))
+    assert (applied[0], output[0]) == (most, most)
+    # What could not be had is not kept: the wheels turn back at once.
+    back, _ = actuators.follow(ego, -more, output)
+    assert -most <= back[0] < -0.5 * most
 
 
 def test_lagging_actuators_keep_to_the_vehicles_limits() -> None:

@@ -48,6 +48,16 @@ def tight_corner() -> Plan:
     return feasible(np.array([0.0, 0.0, 0.0, 8.0, 0.0]), inputs)
 
 
+def s_curve() -> Plan:
+    """From right to left at 9.5 m/s, at the full steering rate for more than a second."""
+    steering = np.concatenate(
+        [np.linspace(0.0, -0.25, 8), np.full(6, -0.25), -0.25 + 0.0395 * np.arange(1, 12)]
+    )
+    steering = np.concatenate([steering, np.full(4, 0.185), np.linspace(0.185, 0.0, 6)])
+    inputs = np.stack([np.diff(steering) / DT, np.zeros(len(steering) - 1)], axis=1)
+    return feasible(np.array([0.0, 0.0, 0.0, 9.5, 0.0]), inputs)
+
+
 def driven(
     commands: Sequence[Command], start: FloatArray, actuators: Actuators = LAGGING
 ) -> FloatArray:
@@ -71,8 +81,8 @@ def untracked(plan: Plan) -> list[Command]:
 
 @pytest.mark.parametrize(
     ("plan", "off", "off_untracked"),
-    [(lane_change(), 0.02, 0.4), (tight_corner(), 0.06, 1.5)],
-    ids=["lane change at 15 m/s", "tight corner"],
+    [(lane_change(), 0.01, 0.4), (tight_corner(), 0.04, 1.5), (s_curve(), 0.12, 2.0)],
+    ids=["lane change at 15 m/s", "tight corner", "s-curve"],
 )
 def test_a_plan_is_followed_through_the_lag(plan: Plan, off: float, off_untracked: float) -> None:
     states = driven(Tracker(LAGGING, VEHICLE, DT).commands(plan), plan.states[0])

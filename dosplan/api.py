@@ -13,6 +13,7 @@ names the field. A field may be another plug-in, as a ``PluginSpec``.
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -53,6 +54,23 @@ def _refuse_overrides(plugin: type, base: type, instead: Mapping[str, str]) -> N
 @dataclass(frozen=True)
 class NoSettings:
     """The settings of a planner or a traffic that has no options."""
+
+
+@dataclass(frozen=True)
+class DeadlineSettings:
+    """The settings of a planner that can keep a deadline inherit from it.
+
+    Attributes:
+        deadline: Wall-clock time after which the planner takes the best plan that it has, s. None
+            leaves it to the loop: none, or a share of its period where the loop charges the time
+            that plans take.
+    """
+
+    deadline: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.deadline is not None and not 0.0 < self.deadline < math.inf:
+            raise ValueError(f"deadline is {self.deadline}, expected more than 0, or None")
 
 
 @dataclass(frozen=True)

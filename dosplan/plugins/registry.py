@@ -17,7 +17,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from dosplan.api import Planner, PluginSpec, Predictor, PredictorSettings
+from dosplan.api import DeadlineSettings, Planner, PluginSpec, Predictor, PredictorSettings
 from dosplan.plugins.files import load_file, loaded_file, local_modules
 from dosplan.plugins.settings import SettingsError, apply_options, plain_settings
 from dosplan.simulation.settings import LoopSettings
@@ -25,6 +25,7 @@ from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import DosplanError, did_you_mean, failure_place, one_line
 
 _NO_OPTIONS: Final[Mapping[str, object]] = MappingProxyType({})
+_PLANNERS_SHARE: Final = 0.8  # Of the loop's period; the rest is the predictor's.
 
 
 class RegistryError(DosplanError, ValueError):
@@ -110,12 +111,16 @@ def find_predictor(spec: str) -> type[Predictor]:
     return found
 
 
-def choose_planner(spec: str, options: Mapping[str, object] = _NO_OPTIONS) -> PluginSpec[Planner]:
+def choose_planner(
+    spec: str, options: Mapping[str, object] = _NO_OPTIONS, loop: LoopSettings | None = None
+) -> PluginSpec[Planner]:
     """Finds a planner and checks its options, without building it.
 
     Args:
         spec: As for ``find_planner``.
         options: What its settings are to be, see ``dosplan.plugins.settings``.
+        loop: The loop that it is to plan in: where that charges the time of plans, a planner that
+            can keep a deadline and was given none gets a share of the period.
 
     Returns:
         Its class and settings.
@@ -124,7 +129,13 @@ def choose_planner(spec: str, options: Mapping[str, object] = _NO_OPTIONS) -> Pl
         RegistryError: It cannot be found, takes no such option, or a value has another type or is
             out of range.
     """
-    return choose_plugin(PluginKind.PLANNER, spec, options)
+    chosen: PluginSpec[Planner] = choose_plugin(PluginKind.PLANNER, spec, options)
+    settings = chosen.settings
+    if loop is None or not loop.real_time or not isinstance(settings, DeadlineSettings):
+        return chosen
+    if settings.deadline is None:
+        settings = replace(settings, deadline=round(_PLANNERS_SHARE * loop.period, 3))
+    return PluginSpec(chosen.plugin, settings)
 
 
 def choose_predictor(
@@ -154,13 +165,19 @@ def choose_predictor(
         ) from error
 
 
-def create_planner(spec: str, seed: int, options: Mapping[str, object] = _NO_OPTIONS) -> Planner:
+def create_planner(
+    spec: str,
+    seed: int,
+    options: Mapping[str, object] = _NO_OPTIONS,
+    loop: LoopSettings | None = None,
+) -> Planner:
     """Builds the planner that ``spec`` names.
 
     Args:
         spec: As for ``find_planner``.
         seed: Seed of the run.
         options: As for ``choose_planner``.
+        loop: As for ``choose_planner``.
 
     Returns:
         The planner.
@@ -168,7 +185,7 @@ def create_planner(spec: str, seed: int, options: Mapping[str, object] = _NO_OPT
     Raises:
         RegistryError: As for ``choose_planner``, or its constructor raises.
     """
-    planner: Planner = create_plugin(PluginKind.PLANNER, spec, seed, options)
+    planner: Planner = _built(choose_planner(spec, options, loop), PluginKind.PLANNER, spec, seed)
     return planner
 
 

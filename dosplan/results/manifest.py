@@ -87,8 +87,8 @@ class RunManifest:
         predictor: Name of the predictor, likewise.
         traffic: Name of the traffic.
         loop: Name of the loop, with what was changed of it.
-        reproducible: Whether the run can be repeated: false where the time that plans took is
-            charged as latency.
+        reproducible: Whether the run can be repeated: false where it depends on the
+            time that plans took.
         settings: All settings of ``planner``, ``predictor``, ``traffic`` and ``loop``, defaults
             and the plug-ins within them included; as options, they give the same one.
         scenarios: Ids of the scenarios, in their order: with the arms and the futures,

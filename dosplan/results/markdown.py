@@ -149,7 +149,7 @@ def unranked_reason(reproducible: bool) -> str:
     """
     if reproducible:
         return "the predictor may see the future"
-    return "the time that plans took is charged as latency, so the run cannot be repeated"
+    return "it depends on the time that plans took, so the run cannot be repeated"
 
 
 def difference_lines(summary: Summary) -> list[str]:

@@ -48,8 +48,8 @@ class RunTitle:
         seed: Seed of everything random.
         ranked: Whether the run may be ranked: false where the predictor may have seen the future,
             and where the run cannot be repeated.
-        reproducible: Whether the run can be repeated: false where the time that plans took is
-            charged as latency.
+        reproducible: Whether the run can be repeated: false where it depends on the
+            time that plans took.
     """
 
     source: str

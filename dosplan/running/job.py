@@ -206,7 +206,9 @@ def make_plugins(config: RunConfig) -> Plugins:
             recording that the traffic does not follow; or the loop drives further from a plan than
             the planner plans; or the traffic has one future, and several are asked for.
     """
-    planner = create_planner(config.planner, config.seed, config.planner_options)
+    planner = create_planner(
+        config.planner, config.seed, config.planner_options, config.chosen_loop
+    )
     predictor = create_predictor(
         config.predictor, config.seed, config.predictor_options, config.chosen_loop
     )

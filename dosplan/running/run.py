@@ -22,7 +22,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
-from dosplan.api import OraclePredictor
+from dosplan.api import DeadlineSettings, OraclePredictor
 from dosplan.plugins.loops import record_loop
 from dosplan.plugins.registry import (
     PluginKind,
@@ -219,8 +219,8 @@ def _held(folder: RunFolder) -> Iterator[None]:
 
 def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
     """Builds the plug-ins once, to check them, and describes the run."""
-    planner = choose_planner(config.planner, config.planner_options)
     loop = config.chosen_loop
+    planner = choose_planner(config.planner, config.planner_options, loop)
     predictor = choose_predictor(config.predictor, config.predictor_options, loop)
     traffic = choose_plugin(PluginKind.TRAFFIC, config.traffic, config.traffic_options)
     if config.ranked and issubclass(predictor.plugin, OraclePredictor):
@@ -237,7 +237,7 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
         predictor=predictor.plugin.name,
         traffic=traffic.plugin.name,
         loop=loop_name(loop),
-        reproducible=not loop.real_time,
+        reproducible=not loop.real_time and not _watches_the_clock(planner.settings),
         settings={
             "planner": record(planner),
             "predictor": record(predictor),
@@ -257,6 +257,11 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
         git_revision=environment.git_revision,
         machine=environment.machine,
     )
+
+
+def _watches_the_clock(settings: object) -> bool:
+    """Whether plans depend on how long they take."""
+    return isinstance(settings, DeadlineSettings) and settings.deadline is not None
 
 
 def _open_folder(folder: RunFolder, manifest: RunManifest, refs: Sequence[ScenarioRef]) -> None:

@@ -4,7 +4,7 @@ A goal asks for a place, a heading, a velocity and a time at once. The optimal c
 drawn towards each of them by a price, and may end a degree beside. So, where the deadline is
 within the horizon and no state of the plan meets the goal, short drives are tried: a steering angle
 that is turned to, later another one, and an acceleration. One that meets the goal, keeps the road
-and enters no set is driven instead.
+and enters no set is driven instead, for as long as it does.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ from dosplan_mpc.sampler import Sampler
 from dosplan_mpc.stage import ACCELERATION, PREVIOUS_ACCELERATION, STATE_SIZE
 
 _LOOKED_AT: Final = 24  # Drives, in the order of their cost, whose road and sets are looked at.
+_FAR: Final = 10  # Steps to the deadline from which on not every cycle is worth a search,
+_PAUSE: Final = 3  # but one in so many, where the last one found nothing.
 _EVASIVE: Final = 1.0  # Normalised distance from a set that a drive keeps.
 
 
@@ -79,6 +81,7 @@ class Arrivals:
         self._sampler = sampler
         self._dt = task.dt
         self._kept: Arrival | None = None
+        self._missed = -_PAUSE
 
     def instead(
         self,
@@ -108,26 +111,65 @@ class Arrivals:
             return None
         if self._meets(plan, step, due, 0.0).any() or not self._within_reach(start, step, due):
             return None
-        states, inputs = self._drives(start, horizon, kept)
-        meets = self._meets(states, step, due, self._settings.margin)
-        meets[:, 0] = False
-        quickest = np.maximum.accumulate(states[..., EGO_VELOCITY], axis=1)
-        meets &= quickest <= max(fastest, float(start[EGO_VELOCITY]))
-        candidates = np.flatnonzero(meets.any(axis=1))
-        if not len(candidates):
+        until = min(horizon, max(goal.last_step for goal in due) - step)
+        quickest = max(fastest, float(start[EGO_VELOCITY]))
+        if kept is not None:
+            tried = _later(kept.states[1:, EGO_STEERING]), _later(kept.inputs[:, ACCELERATION])
+            self._kept = self._best(start, tried, until, step, due, sets, quickest)
+        elif until > _FAR and step < self._missed + _PAUSE:
             return None
+        if self._kept is None:
+            tried = self._tried(float(start[EGO_STEERING]), horizon, until)
+            self._kept = self._best(start, tried, until, step, due, sets, quickest)
+        if self._kept is None:
+            self._missed = step
+        return self._kept
+
+    def _best(
+        self,
+        start: FloatArray,
+        tried: tuple[FloatArray, FloatArray],
+        until: int,
+        step: int,
+        goals: list[GoalState],
+        sets: ForbiddenSets,
+        fastest: float,
+    ) -> Arrival | None:
+        """The calmest of some drives that meets a goal, keeps the road and enters no set.
+
+        Args:
+            start: (6,) present state and previous acceleration.
+            tried: (C, N) steering angles, rad, and accelerations, m/s2.
+            until: Steps until the deadline.
+            step: Present step.
+            goals: The goals.
+            sets: Forbidden sets at the N steps.
+            fastest: Velocity that the drive may not exceed, m/s.
+        """
+        steering, wanted = tried
+        # Nothing after the deadline tells one drive from another.
+        states, inputs = self._drive(start, steering[:, :until], wanted[:, :until])
+        meets = self._meets(states, step, goals, self._settings.margin)
+        meets[:, 0] = False
+        meets &= np.maximum.accumulate(states[..., EGO_VELOCITY], axis=1) <= fastest
+        candidates = np.flatnonzero(meets.any(axis=1))
         first = meets.argmax(axis=1)
-        until = np.arange(horizon) < first[:, None]
+        driven = np.arange(until) < first[:, None]
         lateral = self._vehicle.lateral_acceleration(
             states[:, 1:, EGO_VELOCITY], states[:, 1:, EGO_STEERING]
         )
-        cost = (until * (inputs[..., ACCELERATION] ** 2 + lateral**2)).sum(axis=1)
+        cost = (driven * (inputs[..., ACCELERATION] ** 2 + lateral**2)).sum(axis=1)
         order = candidates[np.argsort(cost[candidates], kind="stable")][:_LOOKED_AT]
         for index in order:
             steps = int(first[index])
             if self._is_free(states[index, : steps + 1], sets):
-                self._kept = Arrival(states[index], inputs[index], steps)
-                return self._kept
+                later = slice(index, index + 1), slice(until, None)
+                beyond = self._drive(states[index, -1], steering[later], wanted[later])
+                return Arrival(
+                    np.vstack([states[index], beyond[0][0, 1:]]),
+                    np.vstack([inputs[index], beyond[1][0]]),
+                    steps,
+                )
         return None
 
     def _within_reach(self, start: FloatArray, step: int, goals: list[GoalState]) -> bool:
@@ -171,26 +213,36 @@ class Arrivals:
             met |= now
         return met
 
-    def _drives(
-        self, start: FloatArray, horizon: int, kept: Arrival | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """(C, N + 1, 6) states and (C, N, 2) inputs of what is tried, the last arrival first."""
-        settings, vehicle, dt = self._settings, self._vehicle, self._dt
-        limit = vehicle.max_steering
-        angles = np.linspace(-limit, limit, settings.angles)
-        angles = np.append(angles, start[EGO_STEERING])
-        tried = list(product(angles, angles, settings.switches, settings.accelerations))
-        first, second, switch, acceleration = np.array(tried).T
+    def _tried(self, steering: float, horizon: int, until: int) -> tuple[FloatArray, FloatArray]:
+        """(C, N) steering angles, rad, and accelerations, m/s2, that are tried.
+
+        Args:
+            steering: Present angle, rad.
+            horizon: Number N of steps.
+            until: Step of the deadline; whoever turns the wheel after it does not count as another.
+        """
+        settings, limit = self._settings, self._vehicle.max_steering
+        angles = [*np.linspace(-limit, limit, settings.angles), steering]
+        switches = [step for step in settings.switches if step < until]
+        turns = [(a, b, step) for a, b in product(angles, angles) if a != b for step in switches]
+        turns += [(angle, angle, 0) for angle in angles]
+        first, second, switch, acceleration = np.array(
+            [(*turn, acceleration) for turn in turns for acceleration in settings.accelerations]
+        ).T
         steps = np.arange(horizon)
-        steering = np.where(steps < switch[:, None], first[:, None], second[:, None])
+        angle = np.where(steps < switch[:, None], first[:, None], second[:, None])
         wanted = np.tile(acceleration[:, None], (1, horizon))
-        if kept is not None:
-            steering = np.vstack([_later(kept.states[1:, EGO_STEERING]), steering])
-            wanted = np.vstack([_later(kept.inputs[:, ACCELERATION]), wanted])
-        states = np.empty((len(steering), horizon + 1, STATE_SIZE))
-        inputs = np.empty((len(steering), horizon, 2))
+        return angle, wanted
+
+    def _drive(
+        self, start: FloatArray, steering: FloatArray, wanted: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(C, T + 1, 6) states and (C, T, 2) inputs of angles and accelerations (C, T)."""
+        vehicle, dt = self._vehicle, self._dt
+        count, steps = steering.shape
+        states, inputs = np.empty((count, steps + 1, STATE_SIZE)), np.empty((count, steps, 2))
         states[:, 0] = start
-        for k in range(horizon):
+        for k in range(steps):
             state = states[:, k, :EGO_SIZE]
             asked = np.column_stack([(steering[:, k] - state[:, EGO_STEERING]) / dt, wanted[:, k]])
             inputs[:, k] = vehicle.clip_input(state, asked, dt)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from dosplan.api import DeadlineSettings
 from dosplan.geometry import StopSettings
 from dosplan.types.checks import check_numbers
 
@@ -386,10 +387,12 @@ class BarrierSettings:
 
 
 @dataclass(frozen=True)
-class MpcConfig:
+class MpcConfig(DeadlineSettings):
     """Settings of the optimal control problem and of what surrounds it.
 
     Attributes:
+        deadline: Time after which the planner begins nothing more in a cycle, s; its best plan of
+            until then is driven. None for never.
         horizon: Number N of steps that are planned.
         fine_steps: After so many of them, an input is held for two steps, and the limits hold at
             every other step.
@@ -417,6 +420,7 @@ class MpcConfig:
         grip: Share of the friction circle that a plan may use.
         resample_every: Cycles after which alternatives are sampled in any case.
         max_iterations: Iterations the solver is given.
+        cycle_iterations: After so many in a cycle, no other solve begins.
         tolerance: Tolerance of the solver.
         initial_barrier: Barrier parameter the solver begins with; a small one keeps it near a good
             guess.
@@ -459,7 +463,8 @@ class MpcConfig:
     utmost: Style = Style(lateral=9.0, longitudinal=8.0)
     grip: float = 0.9
     resample_every: int = 5
-    max_iterations: int = 60
+    max_iterations: int = 30
+    cycle_iterations: int = 40
     tolerance: float = 1e-3
     initial_barrier: float = 1e-3
     accept_residual: float = 0.02
@@ -476,6 +481,7 @@ class MpcConfig:
     barrier: BarrierSettings = BarrierSettings()
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_numbers(
             self,
             positive={

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 import shapely
@@ -28,6 +28,7 @@ from dosplan_mpc.barrier import BARRIER_ID, barrier
 from dosplan_mpc.components import Components
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.decision import Decision, Decisions
+from dosplan_mpc.effort import Effort
 from dosplan_mpc.goal_window import locate_goals
 from dosplan_mpc.lane_change import GapDecision
 from dosplan_mpc.limits import half_width
@@ -48,9 +49,11 @@ from dosplan_mpc.stage import (
 )
 from dosplan_mpc.traffic import Lane, Traffic
 
-_ASTRAY = 0.02  # Distance off the road, unseen by a plan, from which on it is solved again, m.
-_FAR_ASTRAY = 0.5  # From which on its way is of no use, m.
-_SEEN = 1e-3  # Slack of a set from which on its road user is reported as active.
+_ASTRAY: Final = 0.02  # Way off the road, unseen by a plan, from which on it is solved again, m.
+_FAR_ASTRAY: Final = 0.5  # From which on its way is of no use, m.
+_LAST_PLAN: Final = "last plan"
+_SAMPLED: Final = "sampled"
+_SEEN: Final = 1e-3  # Slack of a set from which on its road user is reported as active.
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,13 @@ class _Scene:
         return self.sets.joined(self.barrier)
 
 
+class _Spare(NamedTuple):
+    """What is driven where no solution is usable, and its name in the report."""
+
+    name: str
+    guess: Guess
+
+
 class _Attempt(NamedTuple):
     """A solution and what it is worth.
 
@@ -149,6 +159,7 @@ class MpcEpisode:
         self._dt = task.dt
         self._final_step = task.final_step
         self._problems = {p.config.slots: p for p in problems(config, vehicle, task.dt)}
+        self._effort = Effort(config)
         self._stage_steps = stage_steps(config)
         self._radius = disc_offsets(vehicle, config.discs)[1] + config.clearance
         self._path = aligned_path(task, config.path)
@@ -182,21 +193,36 @@ class MpcEpisode:
         Returns:
             The plan.
         """
+        self._effort.begin()
         scene = self._look(observation, occupancy)
-        attempts, fallback = self._attempts(observation.step, scene)
-        best = min(attempts, key=lambda a: (not a.solution.usable, a.cost))
+        attempts, spare = self._attempts(observation.step, scene)
+        best = min(attempts, key=lambda a: (not a.solution.usable, a.cost), default=None)
         report = _report(attempts, best, scene.decision)
-        if not best.solution.usable and fallback is not None:
-            self._last = None
-            return _plan(observation, fallback, replace(report, fallback="sampled"))
-        self._last = self._remember(observation.step, best.solution, report.slack, scene.line)
-        arrival = self._arrivals.instead(
-            best.solution.states,
-            observation.step,
-            scene.start,
-            scene.forbidden,
-            self._speed.fastest(scene.ego),
-        )
+        if best is not None and best.solution.usable:
+            plan = self._driven(observation, scene, best.solution, report)
+        else:
+            if spare.name != _LAST_PLAN:
+                self._last = None
+            plan = _plan(observation, spare.guess, replace(report, fallback=spare.name))
+        if self._effort.in_time():
+            return plan
+        said = f"{plan.report.fallback or 'solved'} at the deadline"
+        return replace(plan, report=replace(plan.report, fallback=said))
+
+    def _driven(
+        self, observation: Observation, scene: _Scene, solution: Solution, report: SolveReport
+    ) -> Plan:
+        """The plan of a solution, or an arrival in its place."""
+        self._last = self._remember(observation.step, solution, report.slack, scene.line)
+        arrival = None
+        if self._effort.in_time():
+            arrival = self._arrivals.instead(
+                solution.states,
+                observation.step,
+                scene.start,
+                scene.forbidden,
+                self._speed.fastest(scene.ego),
+            )
         if arrival is not None:
             return _plan(observation, arrival, replace(report, slack=0.0, road_slack=0.0))
         return _plan(observation, self._last.guess, report)
@@ -261,29 +287,33 @@ class MpcEpisode:
         sets = stretch_back(sets, followers, config.sets.tail)
         return release(sets, self._sampler.disc_centres(observation.ego), self._dt, config.sets)
 
-    def _attempts(self, step: int, scene: _Scene) -> tuple[list[_Attempt], Guess | None]:
+    def _attempts(self, step: int, scene: _Scene) -> tuple[list[_Attempt], _Spare]:
         """Solves from the last plan, and from a sampled candidate where that is rated better.
 
         Returns:
-            The attempts, and the best candidate where candidates were looked at.
+            The attempts, and the better of the last plan and that candidate, as far as they were
+            looked at.
         """
         last, settings = self._last, self._config.sampler
         attempts: list[_Attempt] = []
         warm = None if last is None else self._warm_start(last, step)
-        if warm is not None:
+        if warm is not None and self._effort.allows_solve():
             attempts += self._solve_on_road(scene, warm)
         due = last is None or last.cycles % self._config.resample_every == 0
         # Another line is another problem: the last plan may be on the wrong side of it.
         due = due or (last is not None and last.line != scene.line)
         pressed = last is not None and last.slack > settings.slack_seen
-        if not due and not pressed and _any_usable(attempts):
-            return attempts, None
+        done = not due and not pressed and _any_usable(attempts)
+        if warm is not None and (done or not self._effort.in_time()):
+            return attempts, _Spare(_LAST_PLAN, warm)
         candidate, cost = self._best_candidate(scene)
         bar = np.inf if warm is None else self._cost_of(warm, scene)
         better = cost < bar - max(settings.worth_it, settings.better * bar)
-        if better or not _any_usable(attempts):
+        if (better or not _any_usable(attempts)) and self._effort.allows_solve():
             attempts += self._solve_on_road(scene, candidate)
-        return attempts, candidate
+        if warm is not None and bar < cost:
+            return attempts, _Spare(_LAST_PLAN, warm)
+        return attempts, _Spare(_SAMPLED, candidate)
 
     def _best_candidate(self, scene: _Scene) -> tuple[Guess, float]:
         """The best sampled candidate and its cost."""
@@ -355,6 +385,8 @@ class MpcEpisode:
         attempt = self._solve(scene, guess)
         if attempt.astray <= _ASTRAY or not attempt.solution.usable:
             return [attempt]
+        if not self._effort.allows_solve():
+            return [attempt]
         again = self._as_guess(attempt.solution)
         if attempt.astray > _FAR_ASTRAY:
             again, _ = self._best_of(
@@ -392,7 +424,9 @@ class MpcEpisode:
         )
         # A slot may hold another road user than before: slacks are computed from the guess.
         problem = self._problems[near.slots]
-        return self._attempt(problem.solve(scene.start, stages, guess, near.slack()), near)
+        solution = problem.solve(scene.start, stages, guess, near.slack())
+        self._effort.spend(solution)
+        return self._attempt(solution, near)
 
     def _attempt(self, solution: Solution, sets: ChosenSets) -> _Attempt:
         """A solution with its price by the road itself."""
@@ -423,8 +457,10 @@ def _any_usable(attempts: list[_Attempt]) -> bool:
     return any(attempt.solution.usable for attempt in attempts)
 
 
-def _report(attempts: list[_Attempt], best: _Attempt, decision: Decision) -> SolveReport:
+def _report(attempts: list[_Attempt], best: _Attempt | None, decision: Decision) -> SolveReport:
     """Times and iterations of all attempts of a cycle, and the rest of the best one."""
+    if best is None:
+        return SolveReport(waits_for=decision.reason, decision=decision.words)
     solution = best.solution
     touched = best.sets.touched(solution.set_slack, _SEEN)
     return SolveReport(

@@ -82,8 +82,30 @@ def test_a_run_that_charges_the_time_of_plans_is_marked(scenes: Path, tmp_path: 
     run = read_summary(RunFolder(out)).run
     assert (run.ranked, run.reproducible) == (False, False)
     text = RunFolder(out).summary_text.read_text()
-    assert "(unranked: the time that plans took is charged as latency, so the run cannot" in text
+    assert "(unranked: it depends on the time that plans took, so the run cannot" in text
     assert "may see the future" not in text
+
+
+@pytest.mark.parametrize(
+    ("options", "deadline", "reproducible"),
+    [
+        ([], None, True),
+        (["--real-time"], 0.08, False),  # Four fifths of the period.
+        (["--real-time", "--set", "loop.period=0.5"], 0.4, False),
+        (["--real-time", "--set", "planner.deadline=0.05"], 0.05, False),
+        (["--set", "planner.deadline=0.05"], 0.05, False),
+    ],
+)
+def test_a_deadline_follows_the_loop(
+    scenes: Path, tmp_path: Path, options: list[str], deadline: float | None, reproducible: bool
+) -> None:
+    """A run whose plans depend on the clock cannot be repeated, whoever asked for it."""
+    planner = ["--planner", f"{PLUGINS}:TimelyPlanner", "--with-dos", "--quiet", "--in-process"]
+    out = tmp_path / "out"
+    assert main(["run", str(scenes), *planner, *options, "--out", str(out)]) == OK
+    manifest = read_manifest(RunFolder(out))
+    assert manifest.settings["planner"] == {"deadline": deadline}
+    assert manifest.reproducible is reproducible
 
 
 def test_sets_that_do_not_reach_far_enough_are_refused_at_once(

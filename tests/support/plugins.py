@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from dosplan.api import NoSettings, OraclePredictor, Planner, Predictor
+from dosplan.api import DeadlineSettings, NoSettings, OraclePredictor, Planner, Predictor
 from dosplan.scenario.synthetic import forking_sets, growing_sets
 from dosplan.types import (
     EGO_SIZE,
@@ -64,6 +64,13 @@ class FarSightedPlanner(CoastPlanner):
 
     name = "far-sighted-v1"
     look_ahead = 30
+
+
+class TimelyPlanner(CoastPlanner):
+    """Drives on as it started, by any deadline."""
+
+    name = "timely-v1"
+    settings = DeadlineSettings
 
 
 class SlowPlanner(Planner):

@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+from dosplan_mpc import effort
 from dosplan_mpc.config import MpcConfig
+from dosplan_mpc.nlp import MpcProblem, Solution
 from dosplan_mpc.planner import MpcPlanner
 from dosplan_simple.predictors import ConstantVelocityPredictor
 from dosplan_simple.sets import ErrorCirclePredictor
@@ -228,3 +232,82 @@ def test_two_hundred_road_users_fit() -> None:
     users = [[20.0 + 4.0 * i, 3.5 + 30.0 * (i % 2), 0.0, 5.0] for i in range(200)]
     _, episode = drive(users, 8.0, [GoalState(5, 5)])
     assert episode.end is EpisodeEnd.GOAL_REACHED
+
+
+def crowd(seed: int, n: int = 30) -> Scenario:
+    """Road users all over the road ahead, in all directions, whose sets leave no room."""
+    rng = np.random.default_rng(seed)
+    columns = [rng.uniform(*ends, n) for ends in ((5, 60), (-6, 6), (-3, 3), (0, 8))]
+    return straight_scenario(
+        steady_tracks(np.column_stack(columns)),
+        velocity=14.0,
+        goals=[GoalState(25, 25)],
+        final_step=25,
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_the_work_of_a_cycle_is_bounded(seed: int) -> None:
+    config = MpcConfig()
+    planner = MpcPlanner(settings=config)
+    episode = run_episode(crowd(seed), planner, ErrorCirclePredictor(), Arm.WITH_DOS)
+    assert episode.error is None
+    iterations = [plan.report.iterations for plan in episode.plans]
+    # The scene is hard: a cycle runs out of the first solve's iterations and begins another one.
+    assert max(iterations) > config.max_iterations + 1
+    assert max(iterations) <= config.cycle_iterations + config.max_iterations
+    # Where no solution is usable, it says so and drives what it has.
+    driven = {plan.report.fallback for plan in episode.plans if plan.report.status.failed}
+    assert driven <= {"last plan", "sampled"}
+
+
+def test_no_solve_begins_after_the_iterations_of_a_cycle() -> None:
+    config = MpcConfig(cycle_iterations=1)
+    planner = MpcPlanner(settings=config)
+    episode = run_episode(crowd(0), planner, ErrorCirclePredictor(), Arm.WITH_DOS)
+    assert episode.error is None
+    most = max(plan.report.iterations for plan in episode.plans)
+    assert most <= config.max_iterations + 1  # Those of one solve; the last counts as another.
+
+
+@pytest.fixture
+def slow_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock that stands still, but for a second in each solve."""
+    now = 0.0
+    solve = MpcProblem.solve
+
+    def take_a_second(self: MpcProblem, *arguments: Any) -> Solution:
+        nonlocal now
+        now += 1.0
+        return replace(solve(self, *arguments), seconds=1.0)
+
+    monkeypatch.setattr(effort, "time", SimpleNamespace(perf_counter=lambda: now))
+    monkeypatch.setattr(MpcProblem, "solve", take_a_second)
+
+
+@pytest.mark.usefixtures("slow_solver")
+def test_what_the_deadline_cuts_short_is_declared() -> None:
+    goal = GoalState(40, 50, box(38, -1, 60, 1))
+    scenario, episode = drive([], 10.0, [goal], config=MpcConfig(deadline=0.5))
+    row = score(scenario, episode)
+    assert row.outcome is Outcome.SUCCESS, row
+    said = [plan.report.fallback for plan in episode.plans]
+    # A solve that has begun goes on. After it was late, the last plan is driven for a while.
+    assert said[:3] == ["solved at the deadline", *["last plan at the deadline"] * 2]
+    assert said[3:].count("solved at the deadline") >= 2
+    assert row.fallback_cycles == len(said)
+    solved = [plan.report.status is SolveStatus.SOLVED for plan in episode.plans]
+    assert solved == [text == "solved at the deadline" for text in said]
+
+
+@pytest.mark.usefixtures("slow_solver")
+def test_without_a_deadline_the_clock_decides_nothing() -> None:
+    goal = GoalState(40, 50, box(38, -1, 60, 1))
+    _, episode = drive([], 10.0, [goal])
+    assert all(plan.report.fallback is None for plan in episode.plans)
+    assert all(plan.report.status is SolveStatus.SOLVED for plan in episode.plans)
+
+
+def test_a_deadline_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"deadline is 0.0, expected more than 0, or None"):
+        MpcConfig(deadline=0.0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 from typing import Final, Self
 
 import numpy as np
@@ -16,11 +17,13 @@ from dosplan.evaluation.groups import CELL_WINDOWS, SPEED_BINS
 from dosplan.types import FloatArray, IntArray
 from dosplan_dos.calibration import SPEED_EDGES, Calibration, Mode, estimate_coverage
 from dosplan_dos.conditional import cross_fitted
+from dosplan_dos.covariates import track_noise
 
 LEVELS: Final = (0.5, 0.7, 0.8, 0.9, 0.95, 0.99)  # Of which is told what they cover.
 WANTED: Final = 0.9
 FOLDS: Final = 5
 SECONDS: Final = (4, 9, 14, 19)  # Columns of the grid at 1, 2, 3 and 4 s.
+NOISE_EDGES: Final = (0.003, 0.01, 0.03, 0.1)  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +129,9 @@ def left_out(scored: Scored, before: Calibration | None = None) -> str:
         before: A calibration by groups to show beside, such as that for another loop.
 
     Returns:
-        Tables in Markdown: coverage by level and by speed, then for each way to calibrate the cell
-        of place and speed that it misses by most, how far it is off over all of them, and areas.
+        Tables in Markdown: coverage by level, by speed and by the noise of the track, then for each
+        way to calibrate the cell of place and speed that it misses by most, how far it is off over
+        all of them, areas, and the factor that ``factor_for_recordings`` finds.
     """
     folds = scored.folds
     parts = [(folds == k, folds != k) for k in np.unique(folds)]
@@ -143,6 +147,7 @@ def left_out(scored: Scored, before: Calibration | None = None) -> str:
     highest = min(c.highest_level for made in fitted.values() for _, c in made)
     levels = {level: _factors(scored, fitted, level) for level in LEVELS if level <= highest}
     bins = np.searchsorted(SPEED_EDGES, scored.speed, side="right")
+    noise = np.searchsorted(NOISE_EDGES, track_noise(scored.covariates), side="right")
     everyone = np.ones(len(folds), dtype=np.bool_)
     covered = [f"{name}, % covered at 1 / 2 / 3 / 4 s" for name in fitted]
 
@@ -167,14 +172,23 @@ def left_out(scored: Scored, before: Calibration | None = None) -> str:
                 ],
             ),
             _table(
+                [f"{100 * WANTED:g} %, those that move, by the noise of their track", *covered],
+                [
+                    [name, *shares(wanted, (noise == b) & (bins > 0))]
+                    for b, name in enumerate(_noise_names())
+                    if np.any((noise == b) & (bins > 0))
+                ],
+            ),
+            _table(
                 [
                     f"{100 * WANTED:g} %, cells of place and speed",
                     f"the worst of those of {CELL_WINDOWS} windows or more",
                     "root mean square off, points",
                     "mean area at 1 / 2 / 3 / 4 s, m2",
+                    f"larger by, for nobody to leave, in {100 * WANTED:g} % of recordings",
                 ],
                 [
-                    [name, *_cells(scored, of, bins), _areas(scored, of)]
+                    [name, *_cells(scored, of, bins), _areas(scored, of), _recordings(scored, of)]
                     for name, of in wanted.items()
                 ],
             ),
@@ -182,7 +196,42 @@ def left_out(scored: Scored, before: Calibration | None = None) -> str:
     return "\n\n".join(tables)
 
 
+def factor_for_recordings(ratio: FloatArray, recording: IntArray, level: float) -> float:
+    """The factor on all sets with which nobody of a new recording leaves any, that often.
+
+    Windows of a recording are alike, so that a share of windows says little of a whole recording.
+    Recordings are exchangeable: with the largest ratio of each of R as its score, the
+    ceil((R + 1) level)-th smallest is not exceeded in a new one with a probability of ``level`` or
+    more (split conformal with recordings in place of windows).
+
+    Args:
+        ratio: (n, G) score over factor on recordings that the factors do not know; NaN where
+            nothing is recorded.
+        recording: (n,) recording of each window.
+        level: The probability.
+
+    Returns:
+        The factor; infinite where the recordings are too few for the level.
+    """
+    _, of = np.unique(recording, return_inverse=True)
+    largest = np.zeros(int(of.max()) + 1)
+    np.maximum.at(largest, of, np.fmax.reduce(ratio, axis=1, initial=0.0))
+    rank = int(np.ceil((len(largest) + 1) * level - 1e-9))
+    return float(np.sort(largest)[rank - 1]) if rank <= len(largest) else float("inf")
+
+
 _ONE: Final = (Mode.PER_STEP,)
+
+
+def _noise_names() -> list[str]:
+    edges = [f"{100 * edge:g}" for edge in NOISE_EDGES]
+    between = [f"{low} to {high} cm" for low, high in pairwise(edges)]
+    return [f"below {edges[0]} cm", *between, f"{edges[-1]} cm and more"]
+
+
+def _recordings(scored: Scored, factors: FloatArray) -> str:
+    found = factor_for_recordings(scored.score / factors, scored.recording, WANTED)
+    return f"{found:.1f} x"
 
 
 def _factors(

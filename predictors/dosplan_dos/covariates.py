@@ -124,6 +124,20 @@ def covariates(
     return np.stack([np.asarray(column, dtype=np.float64) for column in columns], axis=1)
 
 
+def track_noise(values: FloatArray) -> FloatArray:
+    """Reads the noise of tracks back.
+
+    Args:
+        values: (M, F) what ``covariates`` found.
+
+    Returns:
+        (M,) deviation of the positions of the last second from a parabola, along or across,
+        whichever is larger, m.
+    """
+    columns = [NAMES.index(f"noise of position, {axis}") for axis in ("along", "across")]
+    return np.asarray(10.0 ** (values[:, columns].max(axis=1) - 2.0) - 0.01)
+
+
 def _resolved(value: FloatArray) -> FloatArray:
     """Number of decades of a size above 0.01; zero, too, has a value."""
     return np.asarray(np.log10(np.minimum(np.abs(value), 10.0) + 0.01) + 2.0)

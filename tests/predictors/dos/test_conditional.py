@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dosplan_dos.calibrating import Scored, calibrate, left_out
+from dosplan_dos.calibrating import Scored, calibrate, factor_for_recordings, left_out
 from dosplan_dos.calibration import Calibration, Mode, load_calibrations, save_calibrations
 from dosplan_dos.conditional import ConditionalScores, cross_fitted
+from dosplan_dos.covariates import NAMES
 
 from dosplan.evaluation.groups import CELL_WINDOWS
 from dosplan.types import FloatArray, RoadUserKind
@@ -17,9 +18,9 @@ STEPS = 20
 
 
 def drawn(n: int, seed: int) -> tuple[FloatArray, FloatArray]:
-    """(n, STEPS) scores whose scale and spread grow with the first of two covariates, and these."""
+    """(n, STEPS) scores whose scale and spread grow with the first covariate, and these."""
     rng = np.random.default_rng(seed)
-    covariates = rng.uniform(size=(n, 2))
+    covariates = rng.uniform(size=(n, len(NAMES)))
     x = covariates[:, :1]
     growth = np.linspace(1.0, 2.0, STEPS)
     spread = 0.5 + 0.5 * x
@@ -58,7 +59,7 @@ def test_what_is_further_out_than_anything_seen_counts_as_the_outermost() -> Non
     score, covariates = drawn(800, 2)
     fitted = ConditionalScores.fit(score, covariates)
     one = np.ones((2, STEPS))
-    far = fitted.score(one, np.array([[50.0, 0.5], [covariates[:, 0].max(), 0.5]]))
+    far = fitted.score(one, np.array([[50.0] + [0.5] * 17, [covariates[:, 0].max()] + [0.5] * 17]))
     np.testing.assert_array_equal(far[0], far[1])
 
 
@@ -137,7 +138,33 @@ def test_the_tables_are_of_places_that_were_left_out() -> None:
     assert "| 90 % | " in told
     assert "8-16 m/s" in told
     assert "(ZAM_Place0, 8-16 m/s" in told  # The worst cell.
-    assert told.count("by what is known") == 3
+    assert told.count("by what is known") == 4
+    assert "those that move, by the noise of their track" in told
+
+
+def test_a_whole_recording_is_held_as_often_as_asked() -> None:
+    # Windows of a recording share its level, which differs from one to the next; of windows alone
+    # 99 % would be held, and of recordings three in four.
+    rng = np.random.default_rng(13)
+
+    def recordings(count: int) -> tuple[FloatArray, FloatArray]:
+        level = rng.lognormal(sigma=0.7, size=(count, 1, 1))
+        ratio = level * rng.exponential(size=(count, 30, 5))
+        ratio[:, ::3, 4] = np.nan
+        return ratio.reshape(count * 30, 5), np.nanmax(ratio, axis=(1, 2))
+
+    held, by_window = [], []
+    for _ in range(150):
+        ratio, _ = recordings(39)
+        _, fresh = recordings(50)
+        factor = factor_for_recordings(ratio, np.repeat(np.arange(39), 30), 0.9)
+        held.append(np.mean(fresh <= factor))
+        by_window.append(np.mean(fresh <= np.nanquantile(ratio, 0.99)))
+    # 39 recordings: the 36th of 40 ranks is exactly 0.9.
+    assert np.mean(held) == pytest.approx(0.9, abs=0.015)
+    assert np.mean(by_window) < 0.8
+    few = np.arange(60) // 30
+    assert factor_for_recordings(ratio[:60], few, 0.9) == np.inf
 
 
 def test_a_given_of_another_horizon_is_refused() -> None:

@@ -4,11 +4,14 @@ A goal asks for a place, a heading, a velocity and a time at once. The optimal c
 drawn towards each of them by a price, and may end a degree beside. So, where the deadline is
 within the horizon and no state of the plan meets the goal, short drives are tried: a steering angle
 that is turned to, later another one, and an acceleration. One that meets the goal, keeps the road
-and enters no set is driven instead, for as long as it does.
+and enters no set is driven instead, for as long as it does. The same where the plan enters a goal's
+region whose heading is not that of the lane and does not take it up: behind the region, there is no
+way back.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Final
@@ -25,6 +28,7 @@ from dosplan.types import (
     BoolArray,
     FloatArray,
     GoalState,
+    IntArray,
     PlanningTask,
 )
 from dosplan.vehicle import VehicleParameters
@@ -61,6 +65,7 @@ class Arrivals:
         self,
         settings: ArrivalSettings,
         task: PlanningTask,
+        turned: Sequence[GoalState],
         road: shapely.Geometry,
         vehicle: VehicleParameters,
         sampler: Sampler,
@@ -70,12 +75,14 @@ class Arrivals:
         Args:
             settings: What is tried.
             task: Its goals.
+            turned: Those of them whose heading is not that of the path.
             road: Area that the ego keeps, m; prepared.
             vehicle: The ego.
             sampler: Knows the ego's discs.
         """
         self._settings = settings
         self._goals = task.goals
+        self._turned = turned
         self._road = road
         self._vehicle = vehicle
         self._sampler = sampler
@@ -101,26 +108,34 @@ class Arrivals:
             fastest: Velocity that the drive may not exceed, unless it begins faster, m/s.
 
         Returns:
-            The drive; None where the plan meets a goal, where there is still time beyond it, or
-            where none is found.
+            The drive; None where the plan meets a goal, where there is still time beyond it and
+            the way into a turned one is not begun, or where none is found.
         """
         horizon = len(plan) - 1
         due = [goal for goal in self._goals if step <= goal.last_step <= step + horizon]
         kept, self._kept = self._kept, None
-        if len(due) < len([goal for goal in self._goals if goal.last_step >= step]) or not due:
-            return None
-        if self._meets(plan, step, due, 0.0).any() or not self._within_reach(start, step, due):
+        if len(due) < len([goal for goal in self._goals if goal.last_step >= step]):
+            due = [
+                goal
+                for goal in self._turned
+                if goal.last_step >= step
+                and (kept is not None or self._is_entered(goal, plan, step))
+            ]
+        if not due:
             return None
         until = min(horizon, max(goal.last_step for goal in due) - step)
         quickest = max(fastest, float(start[EGO_VELOCITY]))
-        if kept is not None:
+        if kept is not None:  # What was found is driven to its end: no other plan knows of it.
             tried = _later(kept.states[1:, EGO_STEERING]), _later(kept.inputs[:, ACCELERATION])
             self._kept = self._best(start, tried, until, step, due, sets, quickest)
-        elif until > _FAR and step < self._missed + _PAUSE:
+        if self._kept is not None:
+            return self._kept
+        if self._meets(plan, step, due, 0.0).any() or not self._within_reach(start, step, due):
             return None
-        if self._kept is None:
-            tried = self._tried(float(start[EGO_STEERING]), horizon, until)
-            self._kept = self._best(start, tried, until, step, due, sets, quickest)
+        if until > _FAR and step < self._missed + _PAUSE:
+            return None
+        tried = self._tried(float(start[EGO_STEERING]), horizon, until)
+        self._kept = self._best(start, tried, until, step, due, sets, quickest)
         if self._kept is None:
             self._missed = step
         return self._kept
@@ -159,8 +174,10 @@ class Arrivals:
             states[:, 1:, EGO_VELOCITY], states[:, 1:, EGO_STEERING]
         )
         cost = (driven * (inputs[..., ACCELERATION] ** 2 + lateral**2)).sum(axis=1)
-        order = candidates[np.argsort(cost[candidates], kind="stable")][:_LOOKED_AT]
-        for index in order:
+        order = candidates[np.argsort(cost[candidates], kind="stable")]
+        if len(order):
+            order = order[self._corners_keep(states[order], first[order])]
+        for index in order[:_LOOKED_AT]:
             steps = int(first[index])
             if self._is_free(states[index, : steps + 1], sets):
                 later = slice(index, index + 1), slice(until, None)
@@ -171,6 +188,13 @@ class Arrivals:
                     steps,
                 )
         return None
+
+    def _is_entered(self, goal: GoalState, plan: FloatArray, step: int) -> bool:
+        """Whether a plan enters a goal's region, and some of its time is within the horizon."""
+        if goal.region is None or not goal.first_step - len(plan) < step <= goal.last_step:
+            return False
+        centre = self._vehicle.centre(plan)
+        return bool(shapely.contains_xy(goal.region, centre[:, 0], centre[:, 1]).any())
 
     def _within_reach(self, start: FloatArray, step: int, goals: list[GoalState]) -> bool:
         """Whether a goal's region is not farther than can be driven until its deadline."""
@@ -249,6 +273,17 @@ class Arrivals:
             states[:, k + 1, :EGO_SIZE] = vehicle.step(state, inputs[:, k], dt)
             states[:, k + 1, PREVIOUS_ACCELERATION] = inputs[:, k, ACCELERATION]
         return states, inputs
+
+    def _corners_keep(self, states: FloatArray, steps: IntArray) -> BoolArray:
+        """(C,) whether the corners of drives are on the road at all of their steps.
+
+        A quick look at all of them; edges may still reach in between the corners.
+        """
+        last = int(steps.max())
+        poses = self._vehicle.poses(states[:, 1 : last + 1, :EGO_SIZE])
+        corners = rectangle_corners(poses, self._vehicle.size)
+        inside = shapely.contains_xy(self._road, corners[..., 0], corners[..., 1]).all(axis=-1)
+        return np.asarray((inside | (np.arange(last) >= steps[:, None])).all(axis=1))
 
     def _is_free(self, states: FloatArray, sets: ForbiddenSets) -> bool:
         """Whether a drive keeps the road and enters no set."""

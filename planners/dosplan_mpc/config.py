@@ -67,6 +67,7 @@ class GoalSettings:
         edge_margin: Distance that is kept from the region's edge, m.
         turn: Angle by which the path may miss the goal's heading window, rad; the ego turns
             towards it.
+        widest_turn: The same where no place beside the path is within ``turn``.
         lateral_margin: Distance to the lateral edges at which the ego aims to drive, m.
         common_share: A lateral offset counts where it is inside the region at this share of the
             places at which the best offset is.
@@ -77,6 +78,7 @@ class GoalSettings:
     lateral_reach: float = 12.0
     edge_margin: float = 0.2
     turn: float = 0.3
+    widest_turn: float = 2.2
     lateral_margin: float = 0.5
     common_share: float = 0.9
 
@@ -109,6 +111,8 @@ class SpeedSettings:
         approach_end: Share of that way after which the offset is reached.
         heading_margin: Angle that is kept from the edges of a goal's heading window, rad.
         heading_share: The same as a share of the window, where that is less.
+        turning: Where a goal's heading is not the path's, the ego begins to turn this far before
+            its region, m.
         early_metres: A goal's edges and heading count this far before its region, m.
         late_metres: And this far behind it, m.
         early_steps: And so many steps before its time window.
@@ -131,6 +135,7 @@ class SpeedSettings:
     approach_end: float = 0.8
     heading_margin: float = 0.06
     heading_share: float = 0.3
+    turning: float = 2.0
     early_metres: float = 2.0
     late_metres: float = 1.0
     early_steps: int = 5
@@ -142,7 +147,7 @@ class SpeedSettings:
             self,
             positive={
                 *("winding", "steering_share", "run_up", "shortest_approach", "approach_end"),
-                "limit_factor",
+                *("limit_factor", "turning"),
             },
             shares={"depth_share", "velocity_margin", "approach_end", "heading_share"},
         )

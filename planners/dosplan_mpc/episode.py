@@ -29,12 +29,13 @@ from dosplan_mpc.components import Components
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.decision import Decision, Decisions
 from dosplan_mpc.effort import Effort
-from dosplan_mpc.goal_window import locate_goals
+from dosplan_mpc.goal_window import GoalWindow, locate_goal
 from dosplan_mpc.lane_change import GapDecision
 from dosplan_mpc.limits import half_width
 from dosplan_mpc.nlp import Guess, Solution, problems, stage_steps
 from dosplan_mpc.obstacles import ChosenSets, ForbiddenSets, forbidden_sets, release, stretch_back
 from dosplan_mpc.passing import PassingDecision
+from dosplan_mpc.reach import Reach
 from dosplan_mpc.reference import EgoOnPath, aligned_path
 from dosplan_mpc.road import Road
 from dosplan_mpc.sampler import Candidates, Sampler
@@ -52,6 +53,7 @@ from dosplan_mpc.traffic import Lane, Traffic
 _ASTRAY: Final = 0.02  # Way off the road, unseen by a plan, from which on it is solved again, m.
 _FAR_ASTRAY: Final = 0.5  # From which on its way is of no use, m.
 _LAST_PLAN: Final = "last plan"
+_ARRIVAL: Final = "arrival"
 _SAMPLED: Final = "sampled"
 _SEEN: Final = 1e-3  # Slack of a set from which on its road user is reported as active.
 
@@ -165,7 +167,9 @@ class MpcEpisode:
         self._path = aligned_path(task, config.path)
         end = _end_of_road(task, road_map)
         self._farthest = end - vehicle.length / 2.0 - config.path.end_margin
-        windows = locate_goals(task, self._path, config.goal, self._farthest)
+        found = [locate_goal(goal, self._path, config.goal, self._farthest) for goal in task.goals]
+        windows = tuple(window for window in found if isinstance(window, GoalWindow))
+        self._reach = Reach(task, found, vehicle)
         self._has_goals = bool(windows)
         self._lane = Lane(config.traffic, self._path, vehicle, float(task.start[EGO_VELOCITY]))
         limits = LegalSpeed.of(task.route, config.speed.limit_factor)
@@ -179,7 +183,14 @@ class MpcEpisode:
         )
         self._road = Road(road_map, self._path, vehicle, self._half_width)
         self._sampler = Sampler(config, vehicle, self._path, self._road, task.dt)
-        self._arrivals = Arrivals(config.arrival, task, self._road.area, vehicle, self._sampler)
+        turned = [
+            goal
+            for goal, window in zip(task.goals, found, strict=True)
+            if isinstance(window, GoalWindow) and window.turn
+        ]
+        self._arrivals = Arrivals(
+            config.arrival, task, turned, self._road.area, vehicle, self._sampler
+        )
         self._arclength = float(self._path.locate(task.start[:2]))
         self._last: _LastCycle | None = None
 
@@ -197,35 +208,40 @@ class MpcEpisode:
         scene = self._look(observation, occupancy)
         attempts, spare = self._attempts(observation.step, scene)
         best = min(attempts, key=lambda a: (not a.solution.usable, a.cost), default=None)
-        report = _report(attempts, best, scene.decision)
+        lost = self._reach.unreachable(observation.step, observation.ego, scene.ego.position)
+        report = replace(_report(attempts, best, scene.decision), unreachable=lost)
         if best is not None and best.solution.usable:
-            plan = self._driven(observation, scene, best.solution, report)
+            self._last = self._remember(observation.step, best.solution, report.slack, scene.line)
+            plan = self._driven(observation, scene, self._last.guess, report)
         else:
             if spare.name != _LAST_PLAN:
                 self._last = None
-            plan = _plan(observation, spare.guess, replace(report, fallback=spare.name))
+            report = replace(report, fallback=spare.name)
+            plan = self._driven(observation, scene, spare.guess, report)
         if self._effort.in_time():
             return plan
         said = f"{plan.report.fallback or 'solved'} at the deadline"
         return replace(plan, report=replace(plan.report, fallback=said))
 
     def _driven(
-        self, observation: Observation, scene: _Scene, solution: Solution, report: SolveReport
+        self, observation: Observation, scene: _Scene, guess: Guess, report: SolveReport
     ) -> Plan:
-        """The plan of a solution, or an arrival in its place."""
-        self._last = self._remember(observation.step, solution, report.slack, scene.line)
+        """The plan, or an arrival in its place."""
         arrival = None
         if self._effort.in_time():
             arrival = self._arrivals.instead(
-                solution.states,
+                guess.states,
                 observation.step,
                 scene.start,
                 scene.forbidden,
                 self._speed.fastest(scene.ego),
             )
-        if arrival is not None:
-            return _plan(observation, arrival, replace(report, slack=0.0, road_slack=0.0))
-        return _plan(observation, self._last.guess, report)
+        if arrival is None:
+            return _plan(observation, guess, report)
+        fallen = report.fallback and _ARRIVAL
+        return _plan(
+            observation, arrival, replace(report, slack=0.0, road_slack=0.0, fallback=fallen)
+        )
 
     def _look(self, observation: Observation, occupancy: Occupancy) -> _Scene:
         """Where the ego is, its reference, and the sets it keeps out of."""

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from dosplan.geometry import PATH_HEADING, PATH_X, PATH_Y, EvenPath, wrap_angle
-from dosplan.types import BoolArray, FloatArray, GoalState, PlanningTask
+from dosplan.types import BoolArray, FloatArray, GoalState
 from dosplan_mpc.config import GoalSettings
 
 Interval = tuple[float, float]
@@ -28,6 +28,7 @@ class GoalWindow:
         left: Left edge, m.
         heading: Heading window on the path's turn, rad, or None.
         velocity: Velocity window, m/s, or None.
+        turn: Angle from the path's heading to that window, rad; zero where it is inside.
     """
 
     first_step: int
@@ -39,42 +40,60 @@ class GoalWindow:
     left: float
     heading: Interval | None
     velocity: Interval | None
+    turn: float = 0.0
 
 
-def locate_goals(
-    task: PlanningTask, path: EvenPath, settings: GoalSettings, farthest: float = np.inf
-) -> tuple[GoalWindow, ...]:
-    """Finds the goals that have a region along the path.
+def locate_goal(
+    goal: GoalState, path: EvenPath, settings: GoalSettings, farthest: float = np.inf
+) -> GoalWindow | str | None:
+    """Finds a goal along the path.
 
     Args:
-        task: The planning task.
-        path: Its reference path.
+        goal: The goal.
+        path: Reference path.
         settings: Settings of the search.
         farthest: Arc length up to which the ego's centre may go, m.
 
     Returns:
-        A window for each goal state with a region that lies beside the path.
+        Its window; why there is none, in a few words; None for a goal without a region.
     """
-    windows = (_locate(goal, path, settings) for goal in task.goals)
-    return tuple(
-        replace(window, end=max(min(window.end, farthest), window.begin))
-        for window in windows
-        if window is not None
-    )
-
-
-def _locate(goal: GoalState, path: EvenPath, settings: GoalSettings) -> GoalWindow | None:
-    """The window of one goal: a grid of arc lengths and lateral offsets is searched for it."""
     if goal.region is None:
         return None
+    for turn in (settings.turn, settings.widest_turn):
+        window = _locate(goal, goal.region, path, settings, turn)
+        if window is not None:
+            return replace(window, end=max(min(window.end, farthest), window.begin))
+    return _why_not(goal, goal.region, path)
+
+
+def _why_not(goal: GoalState, region: shapely.Geometry, path: EvenPath) -> str:
+    """Why a goal has no window."""
+    away = float(shapely.distance(shapely.LineString(path.points), region))
+    if away > 0.0 or goal.heading is None:
+        return f"its region is {away:.1f} m beside the route"
+    along = path.locate(np.array(region.centroid.coords[0]))
+    low, high = goal.heading
+    turned = abs(float(wrap_angle(path.heading_at(along) - 0.5 * (low + high))))
+    off = np.rad2deg(max(turned - 0.5 * (high - low), 0.0))
+    return f"its heading is {off:.0f} degrees off the route's"
+
+
+def _locate(
+    goal: GoalState,
+    area: shapely.Geometry,
+    path: EvenPath,
+    settings: GoalSettings,
+    turn: float,
+) -> GoalWindow | None:
+    """The window of one goal: a grid of arc lengths and lateral offsets is searched for it."""
     arclength = np.arange(0.0, path.length, settings.spacing)
     reach, spacing = settings.lateral_reach, settings.lateral_spacing
     offsets = np.arange(-reach, reach + 0.5 * spacing, spacing)
-    region = goal.region.buffer(-settings.edge_margin)
+    region = area.buffer(-settings.edge_margin)
     if region.is_empty:
-        region = goal.region
+        region = area
     rows = path.at(arclength)
-    near = _near(goal, region, rows, float(offsets[-1]), settings.turn)
+    near = _near(goal, region, rows, float(offsets[-1]), turn)
     arclength, rows = arclength[near], rows[near]
     inside = _inside(region, rows, offsets)
     touched = np.any(inside, axis=1)
@@ -87,6 +106,7 @@ def _locate(goal: GoalState, path: EvenPath, settings: GoalSettings) -> GoalWind
     column = int(np.argmin(np.abs(offsets - offset)))
     along = first + np.flatnonzero(inside[first : last + 1, column])
     begin, end = along[0], along[-1]
+    heading = _on_turn_of(rows[begin, PATH_HEADING], goal.heading)
     return GoalWindow(
         first_step=goal.first_step,
         last_step=goal.last_step,
@@ -95,8 +115,9 @@ def _locate(goal: GoalState, path: EvenPath, settings: GoalSettings) -> GoalWind
         offset=offset,
         right=right,
         left=left,
-        heading=_on_turn_of(rows[begin, PATH_HEADING], goal.heading),
+        heading=heading,
         velocity=goal.velocity,
+        turn=0.0 if heading is None else _turn_to(rows[begin : end + 1, PATH_HEADING], heading),
     )
 
 
@@ -157,3 +178,9 @@ def _on_turn_of(path_heading: float, window: Interval | None) -> Interval | None
     middle = path_heading - float(wrap_angle(path_heading - 0.5 * sum(window)))
     half = 0.5 * (window[1] - window[0])
     return middle - half, middle + half
+
+
+def _turn_to(path_heading: FloatArray, window: Interval) -> float:
+    """The smallest turn from some headings of the path, rad, into a window."""
+    turns = np.clip(path_heading, *window) - path_heading
+    return float(turns[np.argmin(np.abs(turns))])

@@ -322,9 +322,31 @@ class SpeedPlanner:
             low, high = window.velocity
             cap = high - settings.velocity_margin * (high - low)
             limit = np.where(grid >= window.begin - _GRID, np.minimum(limit, cap), limit)
+        if window is not None and window.turn:
+            cap = self._turning_speed(window, style)
+            limit = np.where(grid >= window.begin - settings.turning, np.minimum(limit, cap), limit)
         envelope = braking_envelope(limit**2, grid, style.longitudinal)
         legal = braking_envelope(legal**2, grid, style.longitudinal)
         return SpeedLimit(grid, envelope, style, legal)
+
+    def _turn(self, window: GoalWindow) -> tuple[float, float]:
+        """Arc lengths at which the ego begins to turn into a goal's heading, and has turned, m."""
+        depth = window.end - window.begin
+        turning = self._config.speed.turning
+        aim = window.begin + min(0.5 * turning + 0.25 * depth, 0.6 * depth)
+        return window.begin - turning, aim
+
+    def _turning_speed(self, window: GoalWindow, style: Style) -> float:
+        """Speed at which the ego turns into a goal's heading, m/s.
+
+        The wheels are turned at a constant rate from straight on: over a way D, the heading
+        changes by ``rate D^2 / (2 l_wb v)``, and the curvature grows to twice its mean.
+        """
+        begin, end = self._turn(window)
+        way, turn = end - begin, abs(window.turn)
+        rate = self._config.speed.steering_share * self._vehicle.max_steering_rate
+        by_rate = 0.5 * rate * way**2 / (self._vehicle.wheelbase * turn)
+        return float(min(by_rate, np.sqrt(0.5 * style.lateral * way / turn)))
 
     def _velocity(
         self,
@@ -378,7 +400,15 @@ class SpeedPlanner:
         way = max(settings.shortest_approach, settings.approach_seconds * speed)
         part = (arclength - (window.begin - way)) / (settings.approach_end * way)
         part = np.clip(part, 0.0, 1.0)
-        return np.asarray(window.offset * part**2 * (3.0 - 2.0 * part))
+        offset = window.offset * part**2 * (3.0 - 2.0 * part)
+        if window.turn == 0.0:
+            return np.asarray(offset)
+        # Turning at a constant rate of steering, the ego moves aside by a third of turn times way:
+        # it comes from the other side.
+        begin, end = self._turn(window)
+        aside = np.sin(window.turn) * (end - begin) / 3.0
+        done = np.clip((arclength - begin) / (end - begin), 0.0, 1.0)
+        return np.asarray(offset + aside * (done**3 - 0.5) * part)
 
     def _at_goal(
         self, window: GoalWindow, step: int, arclength: FloatArray
@@ -388,6 +418,9 @@ class SpeedPlanner:
         inside = arclength >= window.begin - settings.early_metres
         inside &= arclength <= window.end + settings.late_metres
         inside &= step + self._steps >= window.first_step - settings.early_steps
+        if window.turn:  # Before and behind that place, there need not be room for the heading.
+            reach = max(settings.late_metres, 2.0 * float(np.diff(arclength).max()))
+            inside &= np.abs(arclength - self._turn(window)[1]) <= reach
         heading, weight = self._path.at(arclength)[:, PATH_HEADING], np.zeros(len(self._steps))
         if window.heading is not None:
             low, high = window.heading

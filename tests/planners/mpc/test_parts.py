@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from dosplan_mpc.config import MpcConfig, SamplerSettings, SetSettings, SpeedSettings
-from dosplan_mpc.goal_window import GoalWindow, locate_goals
+from dosplan_mpc.goal_window import GoalWindow, locate_goal
 from dosplan_mpc.nlp import Guess, MpcProblem, Solution, problem, stage_steps
 from dosplan_mpc.obstacles import (
     ForbiddenSets,
@@ -66,7 +66,8 @@ def path_of(route: Route) -> EvenPath:
 def goals_of(
     task: PlanningTask, path: EvenPath, farthest: float = np.inf
 ) -> tuple[GoalWindow, ...]:
-    return locate_goals(task, path, CONFIG.goal, farthest)
+    found = (locate_goal(goal, path, CONFIG.goal, farthest) for goal in task.goals)
+    return tuple(window for window in found if isinstance(window, GoalWindow))
 
 
 def at(position: float, velocity: float, step: int = 0) -> EgoOnPath:
@@ -284,8 +285,26 @@ def test_goal_beside_the_path_asks_for_an_offset() -> None:
 
 
 def test_goal_with_a_foreign_heading_is_not_on_the_path() -> None:
-    task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0), heading=(1.5, 1.6)))
+    task = goal_task(GoalState(20, 30, box(40.0, -1.0, 60.0, 1.0), heading=(2.9, 3.0)))
     assert goals_of(task, path_of(task.route)) == ()
+
+
+def test_a_goal_that_the_path_misses_by_a_turn_has_a_slower_reference_from_the_other_side() -> None:
+    """It begins 10 m before it, at 6 m/s."""
+    task = goal_task(GoalState(0, 90, box(40.0, -1.5, 46.0, 1.5), heading=(0.5, 0.7)))
+    path = path_of(task.route)
+    (window,) = goals_of(task, path)
+    assert window.turn == pytest.approx(0.5)
+    planner = SpeedPlanner(CONFIG, VEHICLE, path, (window,), LegalSpeed.of(task.route, 1.0), DT)
+    profile = planner.plan(at(window.begin - 10.0, 6.0), replace(FREE, cruise=6.0))
+    inside = profile.heading_weight > 0.0
+    assert inside.any()
+    assert profile.velocity[inside].max() < 4.5
+    assert np.all(profile.arclength[inside] > window.begin - 1.0)
+    assert np.all(profile.arclength[inside] < window.end)
+    before = profile.offset[profile.arclength < window.begin - 2.0]
+    assert before.min() < -0.2
+    assert profile.offset[inside].max() > 0.0
 
 
 def test_goal_without_a_region_has_no_window() -> None:

@@ -177,6 +177,50 @@ def test_a_goal_turned_from_the_lane_is_met(
     assert row.outcome is Outcome.SUCCESS, row
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+@pytest.mark.parametrize(
+    ("lanes", "velocity", "distance", "heading"),
+    [
+        (1, 4.0, 30.0, (0.28, 0.45)),
+        (1, 9.0, 12.0, (0.28, 0.45)),
+        (3, 4.0, 12.0, (0.7, 0.9)),
+        (3, 9.0, 30.0, (0.7, 0.9)),
+    ],
+)
+def test_a_turned_goal_is_driven_into_while_there_is_time(
+    tmp_path: Path,
+    side: float,
+    lanes: int,
+    velocity: float,
+    distance: float,
+    heading: tuple[float, float],
+) -> None:
+    """Long before the deadline, the lane's path leads through the region with another heading."""
+    low, high = sorted(side * bound for bound in heading)
+    y = 3.5 * (lanes - 1) / 2
+    region = scenes.rectangle(5.0, 3.0, 20.0 + distance, y)
+    problem = scenes.Problem(
+        start=(20.0, y, 0.0, velocity),
+        goals=(scenes.Goal(5, 60, position=region, heading=(low, high)),),
+    )
+    row = driven(tmp_path, scenes.straight_road(lanes=lanes), problem)
+    assert row.outcome is Outcome.SUCCESS, row
+
+
+def test_a_goal_that_is_out_of_reach_is_said_so(tmp_path: Path) -> None:
+    region = scenes.rectangle(5.0, 3.0, 40.0, 0.0)
+    turned = scenes.Goal(0, 20, position=region, heading=(2.9, 3.1))
+    path = scenes.write_scenario_xml(
+        tmp_path / "scene.xml",
+        scenes.straight_road(),
+        problems=[scenes.Problem(start=(20.0, 0.0, 0.0, 8.0), goals=(turned,))],
+    )
+    episode = run_episode(load_scenario(path), MpcPlanner(), ErrorCirclePredictor(), Arm.WITH_DOS)
+    assert {plan.report.unreachable for plan in episode.plans} == {
+        "its heading is 166 degrees off the route's"
+    }
+
+
 def driven(folder: Path, lanes: Sequence[scenes.Lane], problem: scenes.Problem) -> Score:
     """The row of an empty road that the planner drives."""
     path = scenes.write_scenario_xml(folder / "scene.xml", lanes, problems=[problem])

@@ -153,6 +153,8 @@ class EvenPath(ReferencePath):
         self.length = float(arclength[-1])
         self.table: FloatArray = np.column_stack([points, heading, curvature, *more])
         self._spacing = self.length / (len(arclength) - 1)
+        self._last = len(arclength) - 1.000001  # Just before the last row, which has none after it.
+        self._frames = np.ascontiguousarray(self.table[:, :PATH_SIZE])
 
     def at(self, arclength: FloatArray) -> FloatArray:
         """Rows of the table, linear between its points.
@@ -163,10 +165,7 @@ class EvenPath(ReferencePath):
         Returns:
             (..., 4 + more) as the columns of ``table``.
         """
-        position = np.clip(arclength / self._spacing, 0.0, len(self.table) - 1.000001)
-        low = position.astype(np.int64)
-        part = (position - low)[..., None]
-        return np.asarray(self.table[low] * (1.0 - part) + self.table[low + 1] * part)
+        return self._rows(self.table, arclength)
 
     def project(
         self, points: FloatArray, guess: FloatArray, iterations: int = _NEWTON_STEPS
@@ -185,16 +184,26 @@ class EvenPath(ReferencePath):
         for _ in range(iterations):
             along, across, curvature = self._frame(points, s)
             shrink = np.maximum(1.0 - curvature * across, 0.3)
-            s = np.clip(
-                s + np.clip(along / shrink, -_LONGEST_STEP, _LONGEST_STEP), 0.0, self.length
-            )
+            step = np.minimum(np.maximum(along / shrink, -_LONGEST_STEP), _LONGEST_STEP)
+            s = np.minimum(np.maximum(s + step, 0.0), self.length)
         return s, self._frame(points, s)[1]
+
+    def _rows(self, table: FloatArray, arclength: FloatArray) -> FloatArray:
+        """(..., C) rows of a (P, C) table.
+
+        ``np.clip`` and indexing by brackets would take twice as long for a few points.
+        """
+        position = np.minimum(np.maximum(arclength / self._spacing, 0.0), self._last)
+        low = position.astype(np.int64)
+        part = (position - low)[..., None]
+        before, after = table.take(low, axis=0), table.take(low + 1, axis=0)
+        return np.asarray(before * (1.0 - part) + after * part)
 
     def _frame(
         self, points: FloatArray, s: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Distances of points along and across the tangents at arc lengths; the curvature there."""
-        row = self.at(s)
+        row = self._rows(self._frames, s)
         dx, dy = points[..., 0] - row[..., PATH_X], points[..., 1] - row[..., PATH_Y]
         cos, sin = np.cos(row[..., PATH_HEADING]), np.sin(row[..., PATH_HEADING])
         return cos * dx + sin * dy, cos * dy - sin * dx, row[..., PATH_CURVATURE]

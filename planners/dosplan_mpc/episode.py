@@ -337,9 +337,8 @@ class MpcEpisode:
 
     def _best_of(self, scene: _Scene, candidates: Candidates) -> tuple[Guess, float]:
         """The best of some candidates and its cost."""
-        costs = self._sampler.rate(candidates, scene.forbidden, scene.profile)
-        best = int(np.argmin(costs))
-        return candidates.guess(best), float(costs[best])
+        best, cost = self._sampler.best(candidates, scene.forbidden, scene.profile)
+        return candidates.guess(best), cost
 
     def _cost_of(self, guess: Guess, scene: _Scene) -> float:
         """Cost of a guess by the rating of candidates."""

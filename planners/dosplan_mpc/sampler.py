@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath
-from dosplan.types import EGO_HEADING, EGO_SIZE, EGO_STEERING, EGO_VELOCITY, FloatArray
+from dosplan.types import EGO_HEADING, EGO_SIZE, EGO_STEERING, EGO_VELOCITY, FloatArray, IntArray
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.limits import grip, half_width
@@ -33,6 +33,7 @@ from dosplan_mpc.stage import (
 )
 
 _CLOSEST_TO_CENTRE = 0.2  # Smallest 1 - kappa d: beyond a bend's centre, offsets are undefined.
+_RATED_AT_ONCE = 16  # Candidates whose way on the road is looked at in one go.
 _STEEPEST_RATED = 1.0  # rad; the rating takes larger angles to the path as this.
 
 
@@ -51,6 +52,19 @@ class Candidates:
     inputs: FloatArray
     arclength: FloatArray
     offset: FloatArray
+
+    def some(self, rows: IntArray) -> Candidates:
+        """Some of the candidates.
+
+        Args:
+            rows: Which.
+
+        Returns:
+            Those alone, in this order.
+        """
+        return Candidates(
+            self.states[rows], self.inputs[rows], self.arclength[rows], self.offset[rows]
+        )
 
     def guess(self, index: int) -> Guess:
         """A candidate as an initial guess.
@@ -287,6 +301,34 @@ class Sampler:
         np.clip((steering - turned) / dt, -rate, rate, out=out[:, STEERING_RATE])
         np.clip((speed - velocity) / dt, -friction, fastest, out=out[:, ACCELERATION])
 
+    def best(
+        self, candidates: Candidates, sets: ForbiddenSets, profile: SpeedProfile
+    ) -> tuple[int, float]:
+        """The candidate of the lowest cost.
+
+        Where the road is takes longest to find out. So it is looked at for the cheapest of the
+        others alone, until those that are left cost more without it than the best one with it.
+
+        Args:
+            candidates: What to choose from.
+            sets: Forbidden sets.
+            profile: Reference of the next steps.
+
+        Returns:
+            Its index and cost.
+        """
+        bound = self._cost(candidates, sets, profile, np.zeros(candidates.offset.shape))
+        order = np.argsort(bound, kind="stable")
+        index, lowest = int(order[0]), np.inf
+        for rows in np.split(order, range(_RATED_AT_ONCE, len(order), _RATED_AT_ONCE)):
+            if bound[rows[0]] > lowest:
+                break
+            costs = self.rate(candidates.some(rows), sets, profile)
+            nearest = int(np.argmin(costs))
+            if costs[nearest] < lowest:
+                index, lowest = int(rows[nearest]), float(costs[nearest])
+        return index, lowest
+
     def rate(
         self, candidates: Candidates, sets: ForbiddenSets, profile: SpeedProfile
     ) -> FloatArray:
@@ -300,11 +342,22 @@ class Sampler:
         Returns:
             (C,) costs.
         """
+        outside = self._road.outside(candidates.states, candidates.arclength, candidates.offset)
+        return self._cost(candidates, sets, profile, outside)
+
+    def _cost(
+        self,
+        candidates: Candidates,
+        sets: ForbiddenSets,
+        profile: SpeedProfile,
+        off_road: FloatArray,
+    ) -> FloatArray:
+        """(C,) costs of candidates that reach (C, N + 1) m beyond the edges of the road."""
         config, states = self._config, candidates.states
         acceleration = states[:, 1:, PREVIOUS_ACCELERATION]
         cost = self._tracking_cost(candidates, profile)[:, 1:].sum(axis=1)
         cost += 0.5 * config.acceleration_weight * (acceleration**2).sum(axis=1)
-        outside = self._outside(candidates, profile)
+        outside = self._outside(candidates, profile, off_road)
         outside = outside + config.sampler.slip_penalty * self._slip(states)
         cost += config.road_penalty * outside[:, 1:].sum(axis=1)
         if len(sets.ids):
@@ -326,14 +379,15 @@ class Sampler:
             )
         )
 
-    def _outside(self, candidates: Candidates, profile: SpeedProfile) -> FloatArray:
+    def _outside(
+        self, candidates: Candidates, profile: SpeedProfile, off_road: FloatArray
+    ) -> FloatArray:
         """(C, N + 1) how far the ego reaches beyond the road's edges or those of a goal, m."""
-        states, arclength = candidates.states, candidates.arclength
-        outside = self._road.outside(states, arclength, candidates.offset)
-        turn = states[..., EGO_HEADING] - self._path.at(arclength)[..., PATH_HEADING]
+        heading = self._path.at(candidates.arclength)[..., PATH_HEADING]
+        turn = candidates.states[..., EGO_HEADING] - heading
         slope = np.tan(np.clip(turn, -_STEEPEST_RATED, _STEEPEST_RATED))
         middle = candidates.offset + self._vehicle.rear_to_centre * slope
-        outside = np.maximum(outside, middle - profile.left)
+        outside = np.maximum(off_road, middle - profile.left)
         return np.asarray(np.maximum(outside, profile.right - middle))
 
     def _slip(self, states: FloatArray) -> FloatArray:

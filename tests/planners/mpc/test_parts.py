@@ -556,6 +556,22 @@ def test_rating_prefers_the_free_side() -> None:
     assert candidates.offset[best].max() > 1.5
 
 
+@pytest.mark.parametrize("lateral", [-2.5, 0.0, 3.0])
+@pytest.mark.parametrize("ahead", [12.0, 22.0, 200.0])
+def test_the_best_candidate_is_the_cheapest_of_all(lateral: float, ahead: float) -> None:
+    """Also beside the road's edge, where most candidates leave the road."""
+    path = path_of(straight_route())
+    sampler, profile = Sampler(CONFIG, VEHICLE, path, road_along(path), DT), free_profile(path)
+    start = np.array([0.0, lateral, 0.0, 10.0, 0.2, 0.0])
+    candidates = sampler.sample(start, EgoOnPath(0, 20.0, lateral, 21.42, 10.0), profile)
+    _, radius = disc_offsets(VEHICLE, CONFIG.discs)
+    blocked = the_set(occupancy_at(ahead, -0.5), radius)
+    costs = sampler.rate(candidates, blocked, profile)
+    best, cost = sampler.best(candidates, blocked, profile)
+    assert cost == pytest.approx(costs.min(), rel=1e-9)
+    assert costs[best] == pytest.approx(costs.min(), rel=1e-9)
+
+
 # Optimal control problem
 
 

@@ -11,6 +11,11 @@ a bound on its square for every multiplier m above the largest eigenvalue of A A
 with s_i^2 the eigenvalues of A A' and q_i the part of d along their eigenvectors, and the smallest
 of these bounds is exact (the trust-region problem; Boyd and Vandenberghe, "Convex Optimization",
 appendix B.1). Whatever multiplier the search for the smallest ends at, the component is covered.
+
+The means give each component the same share at first, and then a share by the scale that it needed,
+as in the search for the smallest ellipse around points (Titterington, "Estimation of correlation
+matrices by ellipsoidal trimming", 1978). After one such step, the cover is about an eighth larger
+than the smallest there is.
 """
 
 from __future__ import annotations
@@ -22,7 +27,7 @@ import numpy as np
 from dosplan.geometry.ellipse import mahalanobis
 from dosplan.types import BoolArray, FloatArray, Observation, Occupancy, SetUnion
 
-_SEARCH_STEPS: Final = 3  # Newton steps for the multiplier; the cover is within 1e-4 of exact.
+_SEARCHED: Final = (0, 2)  # Newton steps for the multiplier; with two, the cover touches to 1e-4.
 _LEAST_OVER: Final = 1e-9  # A multiplier is above the eigenvalue; these are of the order of 1.
 _ROUNDING: Final = 1.0 + 1e-9  # So that boundaries that touch are inside in spite of rounding.
 _THINNEST: Final = 1e-3  # m; by about this, ellipses that are covered are thickened first.
@@ -80,12 +85,10 @@ def covering_ellipse(union: SetUnion) -> tuple[FloatArray, FloatArray, FloatArra
     several = present.sum(axis=1) > 1
     if not np.any(several):
         return centre, semi_axes, angle
-    share = present[several].astype(np.float64)  # Weights say nothing about what is to be covered.
-    share /= share.sum(axis=1, keepdims=True)
     there = present[several][:, :, None]
     with np.errstate(invalid="ignore"):
         found = _cover(
-            share,
+            present[several],
             np.where(there[..., None], union.centre[several], centre[several][:, None]),
             np.where(there[..., None], union.semi_axes[several], 0.0),
             np.where(there, union.angle[several], 0.0),
@@ -120,47 +123,51 @@ def set_distance(point: FloatArray, occupancy: Occupancy) -> FloatArray:
 
 
 def _cover(
-    share: FloatArray, centre: FloatArray, semi_axes: FloatArray, angle: FloatArray
+    present: BoolArray, centre: FloatArray, semi_axes: FloatArray, angle: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The covering ellipses of (N, M, T) ellipses; a share of zero hides a component."""
-
-    def mean(values: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("nm,nmt->nt", share, values))
-
+    """The covering ellipses of (N, M, T) ellipses, of which (N, M) are there."""
     # Relative to a component, since map coordinates are large and precision would be lost.
     origin = centre[:, 0]
-    relative = centre - origin[:, None]
-    middle = np.einsum("nm,nmtc->ntc", share, relative)
-    x, y = np.moveaxis(relative - middle[:, None], -1, 0)
+    east, north = (centre[..., axis] - origin[:, None, :, axis] for axis in (0, 1))
     a, b = semi_axes[..., 0], semi_axes[..., 1]
     half, lean = 0.5 * (a * a + b * b) + _THINNEST**2, 0.5 * (a * a - b * b)
-    along, across = lean * np.cos(2.0 * angle), lean * np.sin(2.0 * angle)
-    xx, xy, yy = half + along, across, half - along
-    # The shape S, and its Cholesky factor (low, 0; lean, high).
-    sxx = mean(xx + x * x)
-    sxy = mean(xy + x * y)
-    syy = mean(yy + y * y)
-    low = np.sqrt(sxx)
-    skew = sxy / low
-    high = np.sqrt(np.maximum(syy - skew * skew, 0.25 * _THINNEST**2))
-    needed = np.zeros_like(low)
-    for m in range(share.shape[1]):  # One after another: small arrays stay in the cache.
-        # With z = L^-1 (p - c), the shape is the unit disc.
-        u = x[:, m] / low
-        v = (y[:, m] - skew * u) / high
-        uu = xx[:, m] / sxx
-        cross = xy[:, m] / low - skew * uu
-        vv = (yy[:, m] - skew * (xy[:, m] / low + cross)) / (high * high)
-        reach = _reach(u, v, uu, cross / high, vv)
-        needed = np.maximum(needed, np.where(share[:, m, None] > 0.0, reach, 0.0))
+    slope = np.tan(angle)  # Of twice the angle, cosine and sine follow, in a tenth of their time.
+    lean /= 1.0 + slope * slope
+    along, xy = lean * (1.0 - slope * slope), 2.0 * lean * slope
+    xx, yy = half + along, half - along
+    # What probability says is of no matter for what is to be covered: all begin with one share.
+    share = np.repeat(present[:, :, None].astype(np.float64), angle.shape[2], axis=2)
+    needed = np.empty_like(share)
+    for searched in _SEARCHED:
+        share /= share.sum(axis=1, keepdims=True)
+        middle_x, middle_y = (share * east).sum(axis=1), (share * north).sum(axis=1)
+        x, y = east - middle_x[:, None], north - middle_y[:, None]
+        # The shape S, and its Cholesky factor (low, 0; skew, high).
+        sxx = (share * (xx + x * x)).sum(axis=1)
+        sxy = (share * (xy + x * y)).sum(axis=1)
+        syy = (share * (yy + y * y)).sum(axis=1)
+        low = np.sqrt(sxx)
+        skew = sxy / low
+        high = np.sqrt(np.maximum(syy - skew * skew, 0.25 * _THINNEST**2))
+        for m in range(share.shape[1]):  # One after another: small arrays stay in the cache.
+            # With z = L^-1 (p - c), the shape is the unit disc.
+            u = x[:, m] / low
+            v = (y[:, m] - skew * u) / high
+            uu = xx[:, m] / sxx
+            cross = xy[:, m] / low - skew * uu
+            vv = (yy[:, m] - skew * (xy[:, m] / low + cross)) / (high * high)
+            needed[:, m] = _reach(u, v, uu, cross / high, vv, searched)
+        share *= needed
+    scale = np.where(present[:, :, None], needed, 0.0).max(axis=1)
     across, along = low * skew, 0.5 * (sxx - skew * skew - high * high)
     longest = 0.5 * (sxx + skew * skew + high * high) + np.sqrt(along**2 + across**2)
-    axes = np.sqrt(np.stack([longest, (low * high) ** 2 / longest], axis=-1) * needed[..., None])
-    return origin + middle, axes * _ROUNDING, 0.5 * np.arctan2(across, along)
+    axes = np.sqrt(np.stack([longest, (low * high) ** 2 / longest], axis=-1) * scale[..., None])
+    middle = origin + np.stack([middle_x, middle_y], axis=-1)
+    return middle, axes * _ROUNDING, 0.5 * np.arctan2(across, along)
 
 
 def _reach(
-    u: FloatArray, v: FloatArray, uu: FloatArray, uv: FloatArray, vv: FloatArray
+    u: FloatArray, v: FloatArray, uu: FloatArray, uv: FloatArray, vv: FloatArray, searched: int
 ) -> FloatArray:
     """Bound on the largest squared distance from the origin to a point of an ellipse.
 
@@ -170,6 +177,7 @@ def _reach(
         uu: Its shape matrix: first entry,
         uv: the entry off the diagonal,
         vv: last entry.
+        searched: Newton steps for the multiplier.
 
     Returns:
         The bounds; see the top of the module.
@@ -185,7 +193,7 @@ def _reach(
     # of g's terms is 1, from where Newton's method on 1 / sqrt(g) does not pass the best.
     p1, p2, gap = q1 * s1, (square - q1) * s2, s1 - s2
     over = np.maximum(np.maximum(np.sqrt(p1), np.sqrt(p2) - gap), _LEAST_OVER)
-    for _ in range(_SEARCH_STEPS):
+    for _ in range(searched):
         both = over + gap
         a, b = p1 / (over * over), p2 / (both * both)
         g = np.maximum(a + b, 1.0)

@@ -123,7 +123,7 @@ class SpeedSettings:
 
     winding: float = 1.5
     steering_share: float = 1.0
-    run_up: float = 1.4
+    run_up: float = 1.1
     deadline_reserve: float = 0.3
     depth_margin: float = 1.0
     depth_share: float = 0.3
@@ -311,6 +311,7 @@ class GapSettings:
         answer: Time within which a drive takes up a speed, s.
         braking: Hardest braking of a drive, m/s2.
         speeding: Strongest acceleration of a drive, m/s2.
+        jerk: Quickest change of its acceleration, m/s3.
         seconds: Time that the change takes, s.
         time_cost: What a second until the gap is beside the ego costs.
         way_cost: What a metre less way costs, 1/m.
@@ -332,7 +333,8 @@ class GapSettings:
     gain: float = 0.5
     answer: float = 0.6
     braking: float = 3.0
-    speeding: float = 2.4
+    speeding: float = 2.1
+    jerk: float = 4.0
     seconds: float = 2.6
     time_cost: float = 1.0
     way_cost: float = 0.1
@@ -370,6 +372,26 @@ class ArrivalSettings:
             raise ValueError(f"margin is {self.margin}, expected less than 0.5")
         if not self.switches or not self.accelerations:
             raise ValueError("switches and accelerations are empty, expected one or more of each")
+
+
+@dataclass(frozen=True)
+class ComfortSettings:
+    """From where on accelerations cost more: a little inside nuPlan's bounds of comfort.
+
+    Attributes:
+        speeding: Acceleration, m/s2.
+        braking: Deceleration, m/s2.
+        lateral: Lateral acceleration, m/s2.
+        weight: What the square of the excess costs, s4/m2.
+    """
+
+    speeding: float = 2.1
+    braking: float = 3.6
+    lateral: float = 4.2
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
 
 @dataclass(frozen=True)
@@ -441,6 +463,7 @@ class MpcConfig(DeadlineSettings):
         gap: The decision for a gap to change lanes into.
         stops: When the ego stops for lights, signs and crosswalks.
         barrier: How it does.
+        comfort: What is comfortable.
     """
 
     horizon: int = 30
@@ -463,7 +486,7 @@ class MpcConfig(DeadlineSettings):
     norm_rounding: float = 1e-4
     clearance: float = 0.15
     road_margin: float = 0.05
-    calm: Style = Style(lateral=4.0, longitudinal=2.5)
+    calm: Style = Style(lateral=4.0, longitudinal=2.0)
     hurried: Style = Style(lateral=7.0, longitudinal=5.0)
     utmost: Style = Style(lateral=9.0, longitudinal=8.0)
     grip: float = 0.9
@@ -484,6 +507,7 @@ class MpcConfig(DeadlineSettings):
     gap: GapSettings = GapSettings()
     stops: StopSettings = StopSettings()
     barrier: BarrierSettings = BarrierSettings()
+    comfort: ComfortSettings = ComfortSettings()
 
     def __post_init__(self) -> None:
         super().__post_init__()

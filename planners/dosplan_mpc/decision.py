@@ -21,7 +21,7 @@ import numpy as np
 
 from dosplan.geometry import StopRules, Wait
 from dosplan.types import IntArray, Observation, Occupancy
-from dosplan_mpc.lane_change import Gap, GapDecision
+from dosplan_mpc.lane_change import Gap, GapDecision, OnLane
 from dosplan_mpc.passing import Pass, PassingDecision
 from dosplan_mpc.reference import EgoOnPath
 from dosplan_mpc.speed_profile import SpeedProfile
@@ -114,19 +114,19 @@ class TakeGap:
     """The ego changes lanes into a gap.
 
     Attributes:
-        gap: The gap.
+        gap: The gap, or that the ego has changed into it.
         stop: None: it does not stop.
         reason: None.
     """
 
-    gap: Gap
+    gap: Gap | OnLane
     stop: None = None
     reason: None = None
 
     @property
     def words(self) -> str:
-        """The decision in a few words."""
-        return self.gap.words
+        """The decision in a few words; none once the ego has changed."""
+        return self.gap.words if isinstance(self.gap, Gap) else ""
 
     def lead(self, profile: SpeedProfile) -> SpeedProfile:
         """The reference of this class of plans: to the gap, and into it."""
@@ -166,7 +166,7 @@ class Decision:
     @property
     def words(self) -> str | None:
         """The decision in a few words; None where the ego just goes on."""
-        return "; ".join(one.words for one in self.chosen) or None
+        return "; ".join(one.words for one in self.chosen if one.words) or None
 
     def lead(self, profile: SpeedProfile) -> SpeedProfile:
         """The reference that leads into the classes of plans that were chosen.

@@ -214,6 +214,28 @@ class Gap:
 
 
 @dataclass(frozen=True)
+class OnLane:
+    """The ego is on the lane that the route goes to, beside a path that gets there later.
+
+    Attributes:
+        change: The change of lanes.
+    """
+
+    change: LaneChange
+
+    def lead(self, profile: SpeedProfile) -> SpeedProfile:
+        """The reference that keeps the lane.
+
+        Args:
+            profile: The reference along the path.
+
+        Returns:
+            The reference.
+        """
+        return replace(profile, offset=profile.offset + self.change.after(profile.arclength))
+
+
+@dataclass(frozen=True)
 class _Users:
     """Road users along the path over the time of a drive.
 
@@ -261,6 +283,7 @@ class GapDecision:
         self._changes = lane_changes(route, road_map, path)
         self._time = np.arange(0.0, settings.ahead + 0.5 * _STEP, _STEP)
         self._kept: Gap | None = None
+        self._through: LaneChange | None = None  # The last one that a gap was taken for.
 
     def decide(
         self,
@@ -268,7 +291,7 @@ class GapDecision:
         occupancy: Occupancy,
         ego: EgoOnPath,
         profile: SpeedProfile,
-    ) -> Gap | None:
+    ) -> Gap | OnLane | None:
         """The gap that the ego goes to.
 
         Args:
@@ -278,12 +301,17 @@ class GapDecision:
             profile: The reference without this decision.
 
         Returns:
-            The gap; None where there is no change of lanes ahead, nobody in its way, or no gap
-            that can be reached.
+            The gap, or that the ego has changed into it; None where there is no change of lanes
+            ahead, nobody in its way, or no gap that can be reached.
         """
         kept, self._kept = self._kept, None
         change = self._next(ego, profile)
-        if change is None or len(observation.ids) == 0:
+        if change is None:
+            return None
+        if self._through is change or (kept is not None and self._is_on(change, ego)):
+            self._through = change
+            return OnLane(change)
+        if len(observation.ids) == 0:
             return None
         beside, ahead = self._lanes(observation, ego, change)
         if not beside.any():
@@ -315,16 +343,18 @@ class GapDecision:
         for change in self._changes:
             if ego.position > change.until:
                 continue
-            if self._is_over(change, ego):
+            # It is over when the path is on the lane as well.
+            on_path = abs(float(change.after(ego.position))) < self._settings.arrived
+            if on_path and self._is_on(change, ego):
                 continue
             reach = max(float(profile.velocity.max()), ego.velocity) * self._settings.ahead
             return change if change.begin < ego.position + reach else None
         return None
 
-    def _is_over(self, change: LaneChange, ego: EgoOnPath) -> bool:
-        """Whether both the ego and the path are on the lane that the route goes to."""
-        offset = float(change.after(ego.position))
-        return max(abs(ego.offset - offset), abs(offset)) < self._settings.arrived
+    def _is_on(self, change: LaneChange, ego: EgoOnPath) -> bool:
+        """Whether the ego is on the lane that the route goes to."""
+        away = ego.offset - float(change.after(ego.position))
+        return abs(away) < self._settings.arrived
 
     def _lanes(
         self, observation: Observation, ego: EgoOnPath, change: LaneChange
@@ -451,6 +481,7 @@ class GapDecision:
         velocity[:, 0] = ego.velocity
         inside = np.zeros((count, steps), dtype=np.bool_)
         beside, gain = np.zeros(count), settings.gain
+        rate, change_of_rate = np.zeros(count), settings.jerk * _STEP
         for k in range(steps):
             x, v = place[:, k], velocity[:, k]
             here = (low[:, k] <= x) & (x <= high[:, k]) & (x >= change.begin)
@@ -463,8 +494,11 @@ class GapDecision:
             asked = np.minimum(np.maximum(wanted, slowest), fastest)
             room = np.maximum(stop[k] - half - x, 0.0)
             bound = np.sqrt(2.0 * settings.braking * room)
-            asked = np.where(beside < until_clear, np.minimum(asked, bound), asked)
-            rate = np.clip((asked - v) / settings.answer, -settings.braking, settings.speeding)
+            # What ends its own lane holds it up until it can be past before it gets there.
+            late = ~here | (np.maximum(until_clear - beside, 0.0) * v > room)
+            asked = np.where(late & (beside < until_clear), np.minimum(asked, bound), asked)
+            wish = np.clip((asked - v) / settings.answer, -settings.braking, settings.speeding)
+            rate = np.clip(wish, rate - change_of_rate, rate + change_of_rate)
             velocity[:, k + 1] = np.maximum(v + rate * _STEP, 0.0)
             place[:, k + 1] = x + 0.5 * _STEP * (v + velocity[:, k + 1])
         out = []

@@ -357,6 +357,7 @@ class Sampler:
         acceleration = states[:, 1:, PREVIOUS_ACCELERATION]
         cost = self._tracking_cost(candidates, profile)[:, 1:].sum(axis=1)
         cost += 0.5 * config.acceleration_weight * (acceleration**2).sum(axis=1)
+        cost += 0.5 * config.comfort.weight * self._discomfort(states)[:, 1:].sum(axis=1)
         outside = self._outside(candidates, profile, off_road)
         outside = outside + config.sampler.slip_penalty * self._slip(states)
         cost += config.road_penalty * outside[:, 1:].sum(axis=1)
@@ -389,6 +390,16 @@ class Sampler:
         middle = candidates.offset + self._vehicle.rear_to_centre * slope
         outside = np.maximum(off_road, middle - profile.left)
         return np.asarray(np.maximum(outside, profile.right - middle))
+
+    def _discomfort(self, states: FloatArray) -> FloatArray:
+        """(C, N + 1) squares by which accelerations exceed what is comfortable, m2/s4."""
+        comfort, along = self._config.comfort, states[..., PREVIOUS_ACCELERATION]
+        lateral = self._vehicle.lateral_acceleration(
+            states[..., EGO_VELOCITY], states[..., EGO_STEERING]
+        )
+        beyond = np.maximum(along - comfort.speeding, 0.0) ** 2
+        beyond += np.maximum(-along - comfort.braking, 0.0) ** 2
+        return np.asarray(beyond + np.maximum(np.abs(lateral) - comfort.lateral, 0.0) ** 2)
 
     def _slip(self, states: FloatArray) -> FloatArray:
         """(C, N + 1) lateral acceleration beyond the friction circle, as a share of its radius."""

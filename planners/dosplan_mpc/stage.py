@@ -232,7 +232,7 @@ def input_stage(config: MpcConfig, vehicle: VehicleParameters, dt: float) -> Any
     """
     x, u = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("u", INPUT_SIZE)
     limits = ca.vertcat(*_input_constraints(config, vehicle, x, u))
-    result = [_transition(vehicle, x, u, dt), _input_cost(config, x, u, dt), limits]
+    result = [_transition(vehicle, x, u, dt), _input_cost(config, vehicle, x, u, dt), limits]
     return ca.Function("input_stage", [x, u], result)
 
 
@@ -308,18 +308,30 @@ def _state_cost(config: MpcConfig, vehicle: VehicleParameters, x: Any, reference
     )
 
 
-def _input_cost(config: MpcConfig, x: Any, u: Any, dt: float) -> Any:
+def _input_cost(config: MpcConfig, vehicle: VehicleParameters, x: Any, u: Any, dt: float) -> Any:
+    comfort, acceleration = config.comfort, u[ACCELERATION]
+    lateral = _lateral_acceleration(vehicle, x)
+    beyond = (
+        ca.fmax(acceleration - comfort.speeding, 0.0) ** 2
+        + ca.fmax(-acceleration - comfort.braking, 0.0) ** 2
+        + ca.fmax(ca.fabs(lateral) - comfort.lateral, 0.0) ** 2
+    )
     return 0.5 * (
         config.steering_rate_weight * u[STEERING_RATE] ** 2
-        + config.acceleration_weight * u[ACCELERATION] ** 2
-        + config.jerk_weight * ((u[ACCELERATION] - x[PREVIOUS_ACCELERATION]) / dt) ** 2
+        + config.acceleration_weight * acceleration**2
+        + config.jerk_weight * ((acceleration - x[PREVIOUS_ACCELERATION]) / dt) ** 2
+        + comfort.weight * beyond
     )
+
+
+def _lateral_acceleration(vehicle: VehicleParameters, x: Any) -> Any:
+    return x[EGO_VELOCITY] ** 2 * ca.tan(x[EGO_STEERING]) / vehicle.wheelbase
 
 
 def _input_constraints(config: MpcConfig, vehicle: VehicleParameters, x: Any, u: Any) -> list[Any]:
     """Friction circle and engine power, both as ``h >= 0`` and of the order of one."""
     velocity, acceleration = x[EGO_VELOCITY], u[ACCELERATION]
-    lateral = velocity**2 * ca.tan(x[EGO_STEERING]) / vehicle.wheelbase
+    lateral = _lateral_acceleration(vehicle, x)
     return [
         1.0 - (acceleration**2 + lateral**2) / grip(config, vehicle) ** 2,
         1.0 - acceleration * velocity / vehicle.engine_power,

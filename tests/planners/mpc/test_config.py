@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 from dosplan_mpc.config import (
+    ComfortSettings,
+    GapSettings,
     GoalSettings,
     MpcConfig,
     PathSettings,
@@ -21,6 +23,8 @@ from dosplan_mpc.config import (
 PARTS = (
     MpcConfig(),
     Style(lateral=4.0, longitudinal=2.5),
+    ComfortSettings(),
+    GapSettings(),
     GoalSettings(),
     PathSettings(),
     SamplerSettings(),

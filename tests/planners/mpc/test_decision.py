@@ -133,7 +133,9 @@ class Decider:
             heading=np.zeros(31),
             heading_weight=np.zeros(31),
         )
-        return self.decision.decide(observation, occupancy, place, profile)
+        gap = self.decision.decide(observation, occupancy, place, profile)
+        assert gap is None or isinstance(gap, Gap)
+        return gap
 
 
 def test_a_change_of_lanes_has_its_place_along_the_path(tmp_path: Path) -> None:

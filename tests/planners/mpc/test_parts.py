@@ -290,13 +290,13 @@ def test_goal_with_a_foreign_heading_is_not_on_the_path() -> None:
 
 
 def test_a_goal_that_the_path_misses_by_a_turn_has_a_slower_reference_from_the_other_side() -> None:
-    """It begins 10 m before it, at 6 m/s."""
+    """It begins 8 m before it, at 6 m/s."""
     task = goal_task(GoalState(0, 90, box(40.0, -1.5, 46.0, 1.5), heading=(0.5, 0.7)))
     path = path_of(task.route)
     (window,) = goals_of(task, path)
     assert window.turn == pytest.approx(0.5)
     planner = SpeedPlanner(CONFIG, VEHICLE, path, (window,), LegalSpeed.of(task.route, 1.0), DT)
-    profile = planner.plan(at(window.begin - 10.0, 6.0), replace(FREE, cruise=6.0))
+    profile = planner.plan(at(window.begin - 8.0, 6.0), replace(FREE, cruise=6.0))
     inside = profile.heading_weight > 0.0
     assert inside.any()
     assert profile.velocity[inside].max() < 4.5
@@ -378,7 +378,7 @@ def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
         assert profile.station_weight[0] > MpcConfig().station_weight
     missed = planner.plan(at(23.0, 2.0), FREE)
     assert missed.velocity[-1] > 2.0
-    late = planner.plan(at(21.2, 2.0, step=101), FREE)
+    late = planner.plan(at(21.2, 4.0, step=101), FREE)
     assert late.velocity[-1] == pytest.approx(FREE.cruise)
 
 

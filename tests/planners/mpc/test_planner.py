@@ -73,6 +73,19 @@ def test_scene_is_solved(
     assert row.fallback_cycles == 0
 
 
+@pytest.mark.parametrize(
+    ("velocity", "goal"),
+    [
+        pytest.param(6.0, GoalState(70, 100, box(95, -1, 140, 1)), id="speed up"),
+        pytest.param(12.0, GoalState(60, 60, box(35, -1, 50, 1)), id="slow down"),
+    ],
+)
+def test_a_goal_that_leaves_time_is_reached_in_comfort(velocity: float, goal: GoalState) -> None:
+    row = score(*drive([], velocity, [goal]))
+    assert row.outcome is Outcome.SUCCESS
+    assert row.comfortable
+
+
 @pytest.mark.parametrize("arm", list(Arm))
 def test_slow_leader_is_passed_where_the_sets_allow_it(arm: Arm) -> None:
     """Two lanes of 3.5 m: room to pass a car, not a car whose set has grown to metres."""

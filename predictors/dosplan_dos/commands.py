@@ -66,6 +66,12 @@ class TrainCommand:
         parser.add_argument(
             "--threads", type=int, default=1, metavar="N", help="threads (default: %(default)s)"
         )
+        parser.add_argument(
+            "--device",
+            default="cpu",
+            metavar="NAME",
+            help="where torch trains the network and the sets, such as cuda (default: %(default)s)",
+        )
 
     def run(self, options: argparse.Namespace) -> int:
         """Trains what is not trained yet.
@@ -157,7 +163,9 @@ def _train_sets(options: argparse.Namespace) -> None:
     config = read_training(options.config, SetTraining)
     names = chosen_parts(options.only, list(config.modules))
     network = network_folder(options)
-    trained = train_sets(names, config, options.data, options.validation, network, options.out, say)
+    trained = train_sets(
+        names, config, options.data, options.validation, network, options.out, say, options.device
+    )
     for name, figures in trained:
         say_best(name, figures)
 

@@ -9,7 +9,7 @@ from dosplan_net.features import HISTORY, HISTORY_SIZE, HORIZON
 from dosplan_net.graphs import Graph
 from torch import Tensor
 
-from dosplan_dos.module import OccupancyModule
+from dosplan_dos.module import OccupancyModule, UnionModule
 
 
 class SetsGraph(Graph):
@@ -35,6 +35,43 @@ class SetsGraph(Graph):
         return (
             torch.zeros(3, self.module.config.features),
             torch.zeros(3, HORIZON, 2),
+            torch.zeros(3),
+            torch.zeros(3, HISTORY, HISTORY_SIZE),
+        )
+
+
+class UnionGraph(Graph):
+    """Features, M trajectories and their weights, velocity and history in; M ellipses out."""
+
+    inputs: ClassVar = dict.fromkeys(
+        ("features", "trajectories", "log_weight", "velocity", "history"), "targets"
+    )
+    outputs: ClassVar = ("semi_axes", "double_angle", "centre")
+
+    def __init__(self, module: UnionModule) -> None:
+        super().__init__()
+        self.module = module
+        self.eval()
+
+    def forward(
+        self,
+        features: Tensor,
+        trajectories: Tensor,
+        log_weight: Tensor,
+        velocity: Tensor,
+        history: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """See ``module.UnionModule.forward`` and ``shapes.Unions``."""
+        sets = self.module(features, trajectories, log_weight, velocity, history)
+        return sets.semi_axes, sets.double_angle, sets.centre
+
+    def example(self) -> tuple[Tensor, ...]:
+        """Three road users."""
+        modes = self.module.config.modes
+        return (
+            torch.zeros(3, self.module.config.features),
+            torch.zeros(3, modes, HORIZON, 2),
+            torch.zeros(3, modes),
             torch.zeros(3),
             torch.zeros(3, HISTORY, HISTORY_SIZE),
         )

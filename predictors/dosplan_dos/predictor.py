@@ -12,16 +12,19 @@ import numpy as np
 from dosplan_net.encoder import Encoded, shared_encoder, shipped_weights
 from dosplan_net.engine import Engine, Function, Model, open_function
 from dosplan_net.features import HORIZON, Float32Array
-from dosplan_net.predictor import NetPredictor, NetSettings, check_file, check_horizon
+from dosplan_net.predictor import NetPredictor, NetSettings, check_file, check_horizon, turned
 
 from dosplan.api import PluginSpec, Predictor, PredictorSettings
-from dosplan.geometry import to_body
+from dosplan.geometry import occupancy_of_union, to_body, to_world
 from dosplan.types import (
     USER_HEADING,
+    FloatArray,
+    IntArray,
     Observation,
     Occupancy,
     PlanningTask,
     RoadMap,
+    SetUnion,
 )
 from dosplan_dos.adaptation import Adaptation
 from dosplan_dos.calibration import (
@@ -31,11 +34,11 @@ from dosplan_dos.calibration import (
     calibration_file,
     load_calibrations,
 )
-from dosplan_dos.grid import every_step
+from dosplan_dos.grid import GRID, every_step
 from dosplan_dos.sizes import ConditionalSizes, FixedSizes, GroupSizes, Sizes
 
 if TYPE_CHECKING:
-    from dosplan_dos.graph import SetsGraph
+    from dosplan_net.graphs import Graph
 
 DEFAULT_SETS = "coverage"
 DEFAULT_SCALE = 0.5
@@ -43,11 +46,13 @@ WEIGHTS: Final = ".safetensors"
 """End of the name of a weight file."""
 
 
-def _load_sets(weights: Path) -> SetsGraph:
-    from dosplan_dos.graph import SetsGraph
+def _load_sets(weights: Path) -> Graph:
+    from dosplan_dos.graph import SetsGraph, UnionGraph
+    from dosplan_dos.module import UnionModule
     from dosplan_dos.training import load_module
 
-    return SetsGraph(load_module(weights))
+    module = load_module(weights)
+    return UnionGraph(module) if isinstance(module, UnionModule) else SetsGraph(module)
 
 
 SETS: Final = Model(_load_sets, suffix=".onnx", option="--sets")
@@ -187,6 +192,7 @@ class DosPredictor(Predictor):
         self._files = (network, sets, *calibrations)
         self._module = shared_module(sets, settings.engine, settings.threads)
         self.encoder = shared_encoder(network, settings.engine, settings.threads, settings.lights)
+        self._own_base = isinstance(self.base, NetPredictor) and self.base.encoder is self.encoder
 
     def weight_files(self) -> tuple[Path, ...]:
         """The network, the module, its calibrations where it uses any, and what the base uses."""
@@ -202,33 +208,55 @@ class DosPredictor(Predictor):
         """Puts the sets around the base's centres.
 
         Returns:
-            The base's trajectories with ellipses.
+            The base's trajectories with ellipses, or with a union of them, one for each course of
+            events that the network foretells.
         """
-        trajectory = self.base.predict(observation).likeliest()
         encoded = self.encoder.encode(observation)
-        semi_axes = np.zeros((len(observation.ids), self.horizon, 2))
-        angle = np.zeros((len(observation.ids), self.horizon))
-        moving = encoded.moving
-        if len(moving):
-            path = self._local(observation, trajectory, encoded)
-            made = self._module(
-                features=encoded.features,
-                trajectory=path,
-                velocity=encoded.velocity,
-                history=encoded.history,
-            )
-            lengths, turned = (array.astype(np.float64) for array in made)
-            lengths *= self._sizes.factors(observation, encoded)[..., None]
-            if self._adaptation is not None:
-                lengths *= self._adaptation.observe(observation)[moving, None, None]
-            semi_axes[moving] = every_step(lengths)[:, : self.horizon]
-            double = every_step(turned)[:, : self.horizon]
-            heading = observation.states[moving, -1, USER_HEADING, None]
-            angle[moving] = heading + 0.5 * np.arctan2(double[..., 1], double[..., 0])
-        sets = replace(trajectory.first_steps(self.horizon), semi_axes=semi_axes, angle=angle)
+        trajectory = None if self._own_base else self.base.predict(observation).likeliest()
+        sets = self._sets(observation, encoded, trajectory)
         if self._adaptation is not None:
             self._adaptation.remember(observation, sets)
         return sets
+
+    def _sets(
+        self, observation: Observation, encoded: Encoded, trajectory: Occupancy | None
+    ) -> Occupancy:
+        """The sets around a trajectory; around the network's own where that is None."""
+        courses, log_weight = encoded.trajectory, encoded.log_weight
+        if trajectory is not None:
+            courses, log_weight = _only_course(observation, encoded, trajectory)
+        if not len(encoded.moving):
+            return (trajectory or self.base.predict(observation)).first_steps(self.horizon)
+        likeliest = courses[np.arange(len(courses)), log_weight.argmax(axis=1)]
+        semi_axes, double, *centre = (
+            array.astype(np.float64)
+            for array in self._module(
+                features=encoded.features,
+                trajectory=likeliest,
+                trajectories=courses,
+                log_weight=log_weight,
+                velocity=encoded.velocity,
+                history=encoded.history,
+            )
+        )
+        factor = self._sizes.factors(observation, encoded)
+        if self._adaptation is not None:
+            factor = factor * self._adaptation.observe(observation)[encoded.moving, None]
+        if not centre:
+            sets = _Sets(semi_axes[:, None], double[:, None], likeliest[:, None], None)
+            lengths, angle, _ = sets.every_step(factor, self.horizon)
+            angle = angle[:, 0] + observation.states[encoded.moving, -1, USER_HEADING, None]
+            whole = (trajectory or self.base.predict(observation)).first_steps(self.horizon)
+            return _around(whole, encoded, lengths[:, 0], angle)
+        sets = _Sets(semi_axes, double, courses, centre[0])
+        union = _union(
+            observation,
+            encoded.moving,
+            log_weight,
+            courses[:, :, : self.horizon],
+            sets.every_step(factor, self.horizon),
+        )
+        return occupancy_of_union(observation, union)
 
     def _new_adaptation(self) -> Adaptation | None:
         """What is learned in an episode, at its beginning; None where nothing is."""
@@ -236,25 +264,104 @@ class DosPredictor(Predictor):
             return None
         return Adaptation(self._rate, self._coverage)
 
-    def _local(
-        self, observation: Observation, trajectory: Occupancy, encoded: Encoded
-    ) -> Float32Array:
-        """(M, HORIZON, 2) the base's centres in each road user's frame, m.
 
-        Where the base has no prediction, at a step that is not valid or beyond its horizon, the
-        last predicted position before it is repeated.
+def _only_course(
+    observation: Observation, encoded: Encoded, trajectory: Occupancy
+) -> tuple[Float32Array, Float32Array]:
+    """(T, 1, HORIZON, 2) a trajectory in each road user's frame, m, and (T, 1) its weight, of log.
+
+    Where there is no prediction, at a step that is not valid or beyond the horizon, the last
+    predicted position before it is repeated.
+    """
+    now = observation.states[encoded.moving, -1]
+    centre = trajectory.centre[encoded.moving, :HORIZON]
+    valid = trajectory.valid[encoded.moving, :HORIZON]
+    known = np.maximum.accumulate(np.where(valid, np.arange(centre.shape[1]), -1), axis=1)
+    last = np.take_along_axis(centre, np.maximum(known, 0)[..., None], axis=1)
+    last = np.where(known[..., None] < 0, now[:, None, :2], last)
+    beyond = np.repeat(last[:, -1:], HORIZON - last.shape[1], axis=1)
+    local = to_body(np.concatenate((last, beyond), axis=1), now[:, :3])
+    return local.astype(np.float32)[:, None], np.zeros((len(now), 1), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class _Sets:
+    """What a module made: M ellipses for each of T road users at the G steps of its grid.
+
+    Attributes:
+        semi_axes: (T, M, G, 2) m.
+        double_angle: (T, M, G, 2) see ``shapes.Ellipses``.
+        courses: (T, M, HORIZON, 2) the trajectories they were made for, m.
+        centre: (T, M, G, 2) their centres, m; None where these are the trajectories.
+    """
+
+    semi_axes: FloatArray
+    double_angle: FloatArray
+    courses: Float32Array
+    centre: FloatArray | None
+
+    def every_step(
+        self, factor: FloatArray, horizon: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Fills the steps between those of the grid.
+
+        Args:
+            factor: (T, G) on the semi-axes, or one for all.
+            horizon: Steps H to keep.
+
+        Returns:
+            (T, M, H, 2) semi-axes, m, (T, M, H) angles and (T, M, H, 2) centres, m, in the frame of
+            the road user.
         """
-        if isinstance(self.base, NetPredictor) and self.base.encoder is self.encoder:
-            return encoded.trajectory
-        now = observation.states[encoded.moving, -1]
-        centre = trajectory.centre[encoded.moving, :HORIZON]
-        valid = trajectory.valid[encoded.moving, :HORIZON]
-        known = np.maximum.accumulate(np.where(valid, np.arange(centre.shape[1]), -1), axis=1)
-        last = np.take_along_axis(centre, np.maximum(known, 0)[..., None], axis=1)
-        last = np.where(known[..., None] < 0, now[:, None, :2], last)
-        beyond = np.repeat(last[:, -1:], HORIZON - last.shape[1], axis=1)
-        local = to_body(np.concatenate((last, beyond), axis=1), now[:, :3])
-        return local.astype(np.float32)
+        lengths = self._filled(self.semi_axes * factor[:, None, :, None])[:, :, :horizon]
+        double = self._filled(self.double_angle)[:, :, :horizon]
+        centre = self.courses[:, :, :horizon].astype(np.float64)
+        if self.centre is not None:
+            beside = self.centre - self.courses[:, :, GRID - 1 :: GRID]
+            centre = centre + self._filled(beside)[:, :, :horizon]
+        return lengths, 0.5 * np.arctan2(double[..., 1], double[..., 0]), centre
+
+    @staticmethod
+    def _filled(values: FloatArray) -> FloatArray:
+        users, modes, steps, size = values.shape
+        flat = every_step(values.reshape(users * modes, steps, size))
+        return flat.reshape(users, modes, -1, size)
+
+
+def _around(
+    trajectory: Occupancy, encoded: Encoded, lengths: FloatArray, angle: FloatArray
+) -> Occupancy:
+    """A trajectory with (T, H, 2) semi-axes and (T, H) angles around those that can move."""
+    semi_axes, turned_by = np.zeros_like(trajectory.semi_axes), np.zeros_like(trajectory.angle)
+    semi_axes[encoded.moving] = lengths
+    turned_by[encoded.moving] = angle
+    return replace(trajectory, semi_axes=semi_axes, angle=turned_by)
+
+
+def _union(
+    observation: Observation,
+    moving: IntArray,
+    log_weight: Float32Array,
+    courses: Float32Array,
+    sets: tuple[FloatArray, FloatArray, FloatArray],
+) -> SetUnion:
+    """The union of the ellipses around each course; those who cannot move keep points."""
+    lengths, angle, local = sets
+    now = observation.states[:, -1]
+    shape = (len(now), *angle.shape[1:])
+    weight = np.zeros(shape[:2])
+    weight[:, 0] = 1.0
+    own = np.exp(log_weight.astype(np.float64))
+    weight[moving] = own / own.sum(axis=1, keepdims=True)
+    centre = np.broadcast_to(now[:, None, None, :2], (*shape, 2)).copy()
+    heading = np.broadcast_to(now[:, None, None, USER_HEADING], shape).copy()
+    semi_axes, turned_by = np.zeros((*shape, 2)), np.zeros(shape)
+    pose = np.repeat(now[moving, :3], shape[1], axis=0)
+    centre[moving] = to_world(local.reshape(-1, shape[2], 2), pose).reshape(local.shape)
+    heading[moving] += turned(courses.astype(np.float64))
+    semi_axes[moving] = lengths
+    turned_by[moving] = angle + now[moving, None, None, USER_HEADING]
+    return SetUnion(weight, centre, semi_axes, turned_by, heading)
 
 
 def _sizes(settings: DosSettings) -> tuple[Sizes, tuple[Path, ...]]:

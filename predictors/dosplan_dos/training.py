@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,16 @@ import numpy.typing as npt
 import torch
 from dosplan_net.build import load_network
 from dosplan_net.features import kinds_of
-from dosplan_net.network import constant_velocity
+from dosplan_net.network import Prediction, constant_velocity
 from dosplan_net.training.batches import RawBatch, Selection
 from dosplan_net.training.cache import CacheError, WindowCache
 from dosplan_net.training.optimise import FitSettings, fit
-from dosplan_net.training.train import NET, cross_fitted_trajectories, run_over
+from dosplan_net.training.train import (
+    NET,
+    Foretold,
+    cross_fitted_trajectories,
+    run_over,
+)
 from dosplan_net.weights import load_model, load_weights, save_weights
 from torch import Tensor, nn
 
@@ -30,10 +35,12 @@ from dosplan_dos.calibration import (
     save_calibrations,
 )
 from dosplan_dos.covariates import covariates
-from dosplan_dos.losses import LossConfig
-from dosplan_dos.module import CONSTANT_VELOCITY, OccupancyModule, SetConfig
-from dosplan_dos.shapes import Ellipses, Variant, grid_steps
+from dosplan_dos.losses import LossConfig, UnionLoss
+from dosplan_dos.module import CONSTANT_VELOCITY, OccupancyModule, SetConfig, UnionModule
+from dosplan_dos.shapes import Ellipses, Unions, Variant, grid_steps
 
+SetModule = OccupancyModule | UnionModule
+Sets = Ellipses | Unions
 MODEL = "occupancy-sets"
 
 
@@ -65,7 +72,8 @@ class Windows:
 
     Attributes:
         features: (W, hidden) features H.
-        trajectory: (W, HORIZON, 2) predicted centres in each road user's frame, m.
+        trajectory: (W, M, HORIZON, 2) predicted centres in each road user's frame, m.
+        log_weight: (W, M) logarithms of how likely each is.
         velocity: (W,) m/s.
         history: (W, HISTORY, 6) see ``dosplan_net.features.SceneFeatures``.
         future: (W, HORIZON, 2) true centres, m.
@@ -79,6 +87,7 @@ class Windows:
 
     features: Tensor
     trajectory: Tensor
+    log_weight: Tensor
     velocity: Tensor
     history: Tensor
     future: Tensor
@@ -89,21 +98,38 @@ class Windows:
     covariates: Tensor
     places: tuple[str, ...]
 
-    def sets(self, module: OccupancyModule, rows: Tensor) -> tuple[Ellipses, Tensor, Tensor]:
-        """A module's sets for some windows, the errors (B, G, 2) and whether they are known."""
+    def sets(self, module: SetModule, rows: Tensor) -> tuple[Sets, Tensor, Tensor]:
+        """A module's sets for some windows.
+
+        Args:
+            module: The module.
+            rows: (B,) the windows.
+
+        Returns:
+            The sets, (B, G, 2) the true centres as their ``distance`` takes them, m, and (B, G) 1
+            where they are recorded, 0 elsewhere.
+        """
         steps = grid_steps()
-        sets = module(
-            self.features[rows], self.trajectory[rows], self.velocity[rows], self.history[rows]
+        truth, valid = self.future[rows][:, steps], self.valid[rows][:, steps].float()
+        features, trajectory, weight = (
+            self.features[rows],
+            self.trajectory[rows],
+            self.log_weight[rows],
         )
-        trajectory, future = self.trajectory[rows], self.future[rows]
-        return sets, (future - trajectory)[:, steps], self.valid[rows][:, steps].float()
+        velocity, history = self.velocity[rows], self.history[rows]
+        if isinstance(module, UnionModule):
+            return module(features, trajectory, weight, velocity, history), truth, valid
+        likeliest = Prediction(trajectory, weight, features).likeliest()
+        sets: Ellipses = module(features, likeliest, velocity, history)
+        return sets, truth - likeliest[:, steps], valid
 
 
 def encode_windows(
     caches: Sequence[WindowCache],
     network: Path,
     base: str,
-    cross_fitted: Sequence[npt.NDArray[np.float32]] | None = None,
+    cross_fitted: Sequence[Foretold] | None = None,
+    device: str = "cpu",
 ) -> Windows:
     """Runs the frozen network over caches.
 
@@ -111,26 +137,33 @@ def encode_windows(
         caches: The windows.
         network: Weights of the trajectory network.
         base: Whose trajectories the sets are for: ``net`` or ``constant-velocity``.
-        cross_fitted: For each cache, (W, HORIZON, 2) trajectories to use instead of the network's.
+        cross_fitted: For each cache, trajectories to use instead of the network's.
+        device: Where to run it; the windows stay there.
 
     Returns:
         Windows of road users that can move and whose next step is recorded.
     """
-    encoder = load_network(network)
+    encoder = load_network(network).to(device)
     parts: list[tuple[Tensor, ...]] = []
     first = 0
     for number, cache in enumerate(caches):
-        for batch, own, features in run_over(encoder, Selection(cache, np.arange(cache.scenes))):
+        everything = Selection(cache, np.arange(cache.scenes), device)
+        for batch, found in run_over(encoder, everything):
             velocity = batch.pose[:, 3]
+            path, weight = found.trajectory, found.log_weight
             if base == CONSTANT_VELOCITY:
-                path = constant_velocity(velocity)
-            elif cross_fitted is None:
-                path = own
-            else:
-                path = torch.from_numpy(cross_fitted[number][batch.windows.numpy()])
+                path, weight = constant_velocity(velocity)[:, None], torch.zeros_like(weight[:, :1])
+            elif cross_fitted is not None:
+                rows = batch.windows.cpu().numpy()
+                foretold = cross_fitted[number]
+                path, weight = (
+                    torch.from_numpy(part[rows]).to(device)
+                    for part in (foretold.trajectory, foretold.log_weight)
+                )
             values = (
-                features,
+                found.features,
                 path,
+                weight,
                 velocity,
                 batch.history,
                 batch.future[..., :2],
@@ -171,7 +204,7 @@ def train_module(
     out: Path,
     report: Callable[[str], None] = print,
 ) -> dict[str, float]:
-    """Trains one module; does nothing where it is done.
+    """Trains one module, where the windows are; does nothing where it is done.
 
     Args:
         name: Its name.
@@ -190,12 +223,14 @@ def train_module(
         done: dict[str, float] = load_weights(target, MODEL)[1]["validation"]
         return done
     torch.manual_seed(training.fit.seed)
-    learner = _Learner(OccupancyModule(config), config.loss)
+    config = replace(config, features=windows.features.shape[1])
+    device = windows.features.device
+    learner = _Learner(config).to(device)
     drawn = torch.rand(len(windows.features)) < training.standing_share
-    pool = torch.where(windows.instructive | drawn)[0]
+    pool = torch.where(windows.instructive | drawn.to(device))[0]
 
     def loss_at(step: int) -> Tensor:
-        rows = pool[torch.randint(0, len(pool), (training.batch,))]
+        rows = pool[torch.randint(0, len(pool), (training.batch,)).to(device)]
         return learner.loss(*windows.sets(learner.module, rows))  # type: ignore[no-any-return]
 
     figures = fit(
@@ -211,7 +246,7 @@ def train_module(
     return figures
 
 
-def coverage_figures(module: OccupancyModule, windows: Windows) -> dict[str, float]:
+def coverage_figures(module: SetModule, windows: Windows) -> dict[str, float]:
     """How small a module's sets are at a common coverage, and what they cover as they are.
 
     Args:
@@ -222,19 +257,25 @@ def coverage_figures(module: OccupancyModule, windows: Windows) -> dict[str, flo
         ``osa90``: geometric mean over 1, 2, 3 and 4 s of the mean area after scaling the sets of
         each horizon to cover 90 %, m2; ``cr_1`` ... ``cr_4`` and ``osa_1`` ... ``osa_4``.
     """
-    parts = []
-    for rows in torch.split(torch.arange(len(windows.features)), 8192):
-        sets, error, valid = windows.sets(module, rows)
-        parts.append((sets.distance(error)[:, SECONDS], sets.area[:, SECONDS], valid[:, SECONDS]))
-    distance, area, valid = (torch.cat(column) for column in zip(*parts, strict=True))
-    known = valid > 0
+    parts: list[Sets] = []
+    held: list[tuple[Tensor, Tensor]] = []
+    everyone = torch.arange(len(windows.features), device=windows.features.device)
+    for rows in torch.split(everyone, 8192):
+        made, point, valid = windows.sets(module, rows)
+        parts.append(made.at(SECONDS))
+        held.append((parts[-1].distance(point[:, SECONDS]), valid[:, SECONDS] > 0))
+    distance, known = (torch.cat(column) for column in zip(*held, strict=True))
+    columns = range(len(SECONDS))
+    scale = torch.stack([torch.quantile(distance[known[:, k], k], WANTED) for k in columns])
+    area = torch.cat([sets.area for sets in parts])
+    scaled = torch.cat([sets.area_scaled(scale) for sets in parts])
     areas, figures = [], {}
-    for column, second in enumerate((1, 2, 3, 4)):
-        d, a = distance[known[:, column], column], area[known[:, column], column]
-        areas.append(float(torch.quantile(d, WANTED) ** 2 * a.mean()))
-        figures[f"cr_{second}"] = float((d <= 1).float().mean())
-        figures[f"osa_{second}"] = float(a.mean())
-        figures[f"osa90_{second}"] = areas[-1]
+    for k in columns:
+        rows = known[:, k]
+        areas.append(float(scaled[rows, k].mean()))
+        figures[f"cr_{k + 1}"] = float((distance[rows, k] <= 1).float().mean())
+        figures[f"osa_{k + 1}"] = float(area[rows, k].mean())
+        figures[f"osa90_{k + 1}"] = areas[-1]
     return {"osa90": float(np.exp(np.mean(np.log(areas))))} | figures
 
 
@@ -246,6 +287,7 @@ def train_sets(
     network: Path,
     out: Path,
     report: Callable[[str], None] = print,
+    device: str = "cpu",
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Trains and calibrates modules, one after another.
 
@@ -257,6 +299,7 @@ def train_sets(
         network: Folder of the trajectory network's training.
         out: Folder of the training.
         report: Called with each line of progress.
+        device: Where to train, as torch names it.
 
     Yields:
         Each module's name and the figures of its best validation.
@@ -265,16 +308,18 @@ def train_sets(
     held_out = [WindowCache.open(validation)]
     loop = _loop_of([*opened, *held_out])
     weights = network / f"{NET}.safetensors"
-    trajectories = cross_fitted_trajectories(caches, network) if training.cross_fitted else None
+    trajectories = None
+    if training.cross_fitted:
+        trajectories = cross_fitted_trajectories(caches, network, device)
     for base in dict.fromkeys(training.modules[name].base for name in names):
-        windows = encode_windows(opened, weights, base, trajectories)
-        validating = encode_windows(held_out, weights, base)
+        windows = encode_windows(opened, weights, base, trajectories, device)
+        validating = encode_windows(held_out, weights, base, device=device)
         for name in (name for name in names if training.modules[name].base == base):
             config = training.modules[name]
             yield name, train_module(name, config, training, windows, validating, out, report)
             if name in training.calibrated:
                 target = out / f"{name}.safetensors"
-                scored = score_windows(load_module(target), [windows, validating])
+                scored = score_windows(load_module(target).to(device), [windows, validating])
                 save_calibrations(calibration_file(target, loop), calibrate(scored))
 
 
@@ -325,7 +370,7 @@ def _loop_of(caches: Sequence[WindowCache]) -> CalibratedFor:
     return CalibratedFor(found.pop())
 
 
-def score_windows(module: OccupancyModule, parts: Sequence[Windows]) -> Scored:
+def score_windows(module: SetModule, parts: Sequence[Windows]) -> Scored:
     """Scores windows of recordings that the predicting network was not trained on.
 
     Those are the validation recordings and, by cross-fitting, the training recordings as well.
@@ -384,7 +429,19 @@ def read_config(values: dict[str, Any]) -> SetConfig:
     return SetConfig(variant=variant, loss=loss, **parts)
 
 
-def load_module(path: Path) -> OccupancyModule:
+def make_module(config: SetConfig) -> SetModule:
+    """Makes an untrained module.
+
+    Args:
+        config: What it is to be.
+
+    Returns:
+        The module.
+    """
+    return UnionModule(config) if config.modes > 1 else OccupancyModule(config)
+
+
+def load_module(path: Path) -> SetModule:
     """Builds a module from its weights.
 
     Args:
@@ -396,11 +453,11 @@ def load_module(path: Path) -> OccupancyModule:
     Raises:
         WeightsError: The file is not such weights.
     """
-    return load_model(path, MODEL, lambda about: OccupancyModule(read_config(about["module"])))
+    return load_model(path, MODEL, lambda about: make_module(read_config(about["module"])))
 
 
 def scores(
-    module: OccupancyModule, windows: Windows
+    module: SetModule, windows: Windows
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Distances of the truth to a module's sets, and their areas.
 
@@ -413,9 +470,10 @@ def scores(
     """
     distances, areas = [], []
     with torch.no_grad():
-        for rows in torch.split(torch.arange(len(windows.features)), 8192):
-            sets, error, valid = windows.sets(module, rows)
-            distance = sets.distance(error)
+        everyone = torch.arange(len(windows.features), device=windows.features.device)
+        for rows in torch.split(everyone, 8192):
+            sets, point, valid = windows.sets(module, rows)
+            distance = sets.distance(point)
             distances.append(torch.where(valid > 0, distance, torch.full_like(distance, torch.nan)))
             areas.append(sets.area)
     found = (torch.cat(parts).double().cpu().numpy() for parts in (distances, areas))
@@ -425,7 +483,8 @@ def scores(
 class _Learner(nn.Module):
     """A module with its loss, so that multipliers of the loss are kept in checkpoints."""
 
-    def __init__(self, module: OccupancyModule, loss: LossConfig) -> None:
+    def __init__(self, config: SetConfig) -> None:
         super().__init__()
-        self.module = module
-        self.loss = loss.make()
+        self.module = make_module(config)
+        unions = config.modes > 1
+        self.loss = UnionLoss(config.loss.coverage) if unions else config.loss.make()

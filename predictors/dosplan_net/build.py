@@ -5,14 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from dosplan_net.network import NetworkConfig, TrajectoryNetwork
+from dosplan_net.modal import ModalNetwork
+from dosplan_net.network import MODAL, NetworkConfig, RecurrentNetwork, TrajectoryNetwork
 from dosplan_net.raster import RasterNetwork
 from dosplan_net.weights import load_model
 
 MODEL: Final = "trajectory-network"
 """The kind of model that a weight file of a network names."""
 _NETWORKS: Final[dict[str, type[TrajectoryNetwork]]] = {
-    "polylines": TrajectoryNetwork,
+    "polylines": RecurrentNetwork,
     "raster": RasterNetwork,
 }
 
@@ -36,9 +37,11 @@ def build_network(config: NetworkConfig) -> TrajectoryNetwork:
     """Builds an untrained network.
 
     Args:
-        config: Its sizes and its map encoder.
+        config: Its sizes, its architecture and its map encoder.
 
     Returns:
         The network.
     """
+    if config.architecture == MODAL:
+        return ModalNetwork(config)
     return _NETWORKS[config.map_encoder](config)

@@ -95,7 +95,9 @@ def train_network(options: argparse.Namespace) -> None:
 
     config = read_training(options.config, NetTraining)
     for name in chosen_parts(options.only, stages(config)):
-        figures = train_stage(name, config, options.data, options.validation, options.out, say)
+        figures = train_stage(
+            name, config, options.data, options.validation, options.out, say, options.device
+        )
         say_best(name, figures)
 
 

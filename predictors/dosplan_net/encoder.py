@@ -51,25 +51,33 @@ LIGHTS: Final = Model(_load_lights, ".lights.onnx", option="--network", beside=B
 
 @dataclass(frozen=True)
 class Encoded:
-    """The network's output for an observation; M of its N road users can move.
+    """The network's output for an observation; T of its road users can move, M courses each.
 
     Attributes:
-        moving: (M,) rows of the observation's road users that can move.
-        features: (M, hidden) features H; (0, 0) where M is 0.
-        trajectory: (M, HORIZON, 2) x, y in each road user's frame, m.
-        history: (M, HISTORY, 6) see ``features.SceneFeatures``.
-        velocity: (M,) m/s.
-        seen: What the network was shown of all N road users.
+        moving: (T,) rows of the observation's road users that can move.
+        features: (T, hidden) features H; (0, 0) where T is 0.
+        trajectory: (T, M, HORIZON, 2) x, y in each road user's frame, m.
+        log_weight: (T, M) logarithms of how likely each trajectory is.
+        history: (T, HISTORY, 6) see ``features.SceneFeatures``.
+        velocity: (T,) m/s.
+        seen: What the network was shown of all road users of the observation.
         piece_pose: (P, 3) see ``features.MapPieces``.
     """
 
     moving: IntArray
     features: Float32Array
     trajectory: Float32Array
+    log_weight: Float32Array
     history: Float32Array
     velocity: Float32Array
     seen: SceneFeatures
     piece_pose: FloatArray
+
+    @property
+    def likeliest(self) -> Float32Array:
+        """(T, HORIZON, 2) the most likely trajectory of each."""
+        best = self.log_weight.argmax(axis=1)
+        return np.asarray(self.trajectory[np.arange(len(self.moving)), best])
 
 
 class SceneEncoder:
@@ -137,9 +145,10 @@ class SceneEncoder:
         pose = seen.pose.astype(np.float32)
         pose[:, :2] = seen.pose[:, :2] - self._origin[:2]
         features = np.zeros((0, 0), dtype=np.float32)
-        trajectory = np.zeros((0, HORIZON, 2), dtype=np.float32)
+        trajectory = np.zeros((0, 1, HORIZON, 2), dtype=np.float32)
+        log_weight = np.zeros((0, 1), dtype=np.float32)
         if len(moving):
-            trajectory, features = self._read_scene(
+            trajectory, log_weight, features = self._read_scene(
                 pose=pose,
                 history=seen.history,
                 static=seen.static,
@@ -164,6 +173,7 @@ class SceneEncoder:
             moving,
             features,
             trajectory,
+            log_weight,
             seen.history[moving],
             pose[moving, 3],
             seen,

@@ -26,7 +26,7 @@ from dosplan_net.features import (
 )
 from dosplan_net.light_network import LightResponse
 from dosplan_net.lights import LIGHT_SIZE
-from dosplan_net.network import Scene, TrajectoryNetwork
+from dosplan_net.network import Prediction, Scene, TrajectoryNetwork
 
 
 class Graph(nn.Module, ABC):
@@ -67,7 +67,7 @@ class MapGraph(Graph):
 
 
 class SceneGraph(Graph):
-    """The fields of ``network.Scene`` in, trajectories and features out."""
+    """The fields of ``network.Scene`` in, those of ``network.Prediction`` out."""
 
     inputs: ClassVar = {
         "pose": "users",
@@ -79,17 +79,17 @@ class SceneGraph(Graph):
         "piece_code": "map",
         "piece_pose": "map",
     }
-    outputs: ClassVar = ("trajectory", "features")
+    outputs: ClassVar = ("trajectory", "log_weight", "features")
 
     def __init__(self, network: TrajectoryNetwork) -> None:
         super().__init__()
         self.network = network
         self.eval()
 
-    def forward(self, *fields: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, *fields: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """See ``network.TrajectoryNetwork.forward``."""
-        trajectory, features = self.network(Scene(*fields))
-        return trajectory, features
+        found: Prediction = self.network(Scene(*fields))
+        return found.trajectory, found.log_weight, found.features
 
     def example(self) -> tuple[Tensor, ...]:
         """Five road users, three of which are targets, among seven pieces."""
@@ -127,7 +127,7 @@ class LightGraph(Graph):
         features = self.response.config.features
         return (
             torch.zeros(3, features),
-            torch.zeros(3, HORIZON, 2),
+            torch.zeros(3, self.response.config.modes, HORIZON, 2),
             torch.zeros(3),
             torch.zeros(3, LIGHT_SIZE),
         )

@@ -33,12 +33,14 @@ class LightConfig:
         hidden: Width of its two layers.
         dropout: Share of them that is set to zero in training.
         features: Width of the network's features H.
+        modes: Number M of trajectories of the network; each is answered by itself.
         use_light: Whether it is told anything of the light but that one is ahead.
     """
 
     hidden: int = 128
     dropout: float = 0.1
     features: int = 128
+    modes: int = 1
     use_light: bool = True
 
 
@@ -64,18 +66,18 @@ class LightResponse(nn.Module):
     def forward(
         self, features: Tensor, trajectory: Tensor, velocity: Tensor, lights: Tensor
     ) -> Tensor:
-        """(N, features), (N, HORIZON, 2) m, (N,) m/s, (N, LIGHT_SIZE) -> (N, HORIZON, 2) m."""
-        read = torch.cat(
-            [
-                features,
-                trajectory.flatten(1) / DISTANCE_UNIT,
-                velocity[:, None] / VELOCITY_UNIT,
-                lights * float(self.config.use_light),
-            ],
-            -1,
-        )
+        """(N, features), (N, M, HORIZON, 2) m, (N,) m/s, (N, LIGHT_SIZE) -> as the trajectories."""
+        told = [
+            features,
+            trajectory.flatten(2) / DISTANCE_UNIT,
+            velocity[:, None] / VELOCITY_UNIT,
+            lights * float(self.config.use_light),
+        ]
+        modes = trajectory.shape[1]
+        read = [part if part.dim() == 3 else part[:, None].expand(-1, modes, -1) for part in told]
         ahead = lights[:, :COLOUR_SIZE].sum(-1)
-        return trajectory + grown(self.layers(read)) * ahead[:, None, None]
+        added = grown(self.layers(torch.cat(read, -1)).flatten(0, 1)).view_as(trajectory)
+        return trajectory + added * ahead[:, None, None, None]
 
 
 def save_response(

@@ -1,4 +1,4 @@
-"""The trajectory network: convolution for space, GRU for time, attention for interaction.
+"""A trajectory network: convolution for space, GRU for time, attention for interaction.
 
 Its parts, after F of "Towards Safe and Reliable Autonomous Driving: Dynamic Occupancy Set
 Prediction" (Shao, Xu, Yu, Li, Wang):
@@ -12,8 +12,9 @@ Prediction" (Shao, Xu, Yu, Li, Wang):
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -34,6 +35,9 @@ PIECE_RELATION_SIZE: Final = 5  # x, y, distance, cos and sin of the heading
 DISTANCE_UNIT: Final = 20.0  # m
 VELOCITY_UNIT: Final = 10.0  # m/s
 MAP_ENCODERS: Final = ("polylines", "raster")
+RECURRENT: Final = "recurrent"
+MODAL: Final = "modal"
+ARCHITECTURES: Final = (RECURRENT, MODAL)
 
 
 @dataclass(frozen=True)
@@ -50,6 +54,8 @@ class NetworkConfig:
         use_map: Whether the map is used.
         use_neighbours: Whether the other road users are used.
         map_encoder: How the map is read: ``polylines``, or as a ``raster``; see ``raster``.
+        architecture: ``recurrent``, the network of this module, or ``modal``, that of ``modal``.
+        modes: Number M of trajectories that it predicts for each road user.
     """
 
     history: int = 96
@@ -61,11 +67,22 @@ class NetworkConfig:
     use_map: bool = True
     use_neighbours: bool = True
     map_encoder: str = "polylines"
+    architecture: str = RECURRENT
+    modes: int = 1
 
     def __post_init__(self) -> None:
         if self.map_encoder not in MAP_ENCODERS:
             raise ValueError(
                 f"there is no map encoder {self.map_encoder!r}; choose {' or '.join(MAP_ENCODERS)}"
+            )
+        if self.architecture not in ARCHITECTURES:
+            raise ValueError(
+                f"there is no architecture {self.architecture!r}; "
+                f"choose {' or '.join(ARCHITECTURES)}"
+            )
+        if self.modes < 1 or (self.modes > 1 and self.architecture == RECURRENT):
+            raise ValueError(
+                f"modes is {self.modes}, expected 1 or, with the architecture {MODAL}, more"
             )
 
 
@@ -94,6 +111,25 @@ class Scene:
     piece_pose: Tensor
 
 
+class Prediction(NamedTuple):
+    """What a network says of T targets; M trajectories each.
+
+    Attributes:
+        trajectory: (T, M, HORIZON, 2) in each road user's frame, m.
+        log_weight: (T, M) logarithms of how likely each is; their exponentials sum to 1.
+        features: (T, hidden) features H.
+    """
+
+    trajectory: Tensor
+    log_weight: Tensor
+    features: Tensor
+
+    def likeliest(self) -> Tensor:
+        """(T, HORIZON, 2) the most likely trajectory of each, m."""
+        best = self.log_weight.argmax(1)
+        return self.trajectory[torch.arange(len(best), device=best.device), best]
+
+
 class MapEncoder(nn.Module):
     """Reads map pieces by 1-D convolutions along their centre lines."""
 
@@ -109,7 +145,7 @@ class MapEncoder(nn.Module):
 
     def forward(self, shape: Tensor, attributes: Tensor) -> Tensor:
         """(P, points, 3) pieces and (P, attributes) -> (P, width)."""
-        scale = torch.tensor([PIECE_LENGTH / 2, PIECE_LENGTH / 2, 2.0])
+        scale = shape.new_tensor([PIECE_LENGTH / 2, PIECE_LENGTH / 2, 2.0])
         read = self.convolutions((shape / scale).transpose(1, 2)).amax(-1)
         return functional.relu(self.out(torch.cat([read, attributes], -1)))
 
@@ -145,13 +181,32 @@ class Attention(nn.Module):
         return torch.cat([mixed * anything, strongest], -1)
 
 
-class TrajectoryNetwork(nn.Module):
-    """F: the features H of every road user, and its trajectory."""
+class TrajectoryNetwork(nn.Module, ABC):
+    """F: the features H of every road user, and its trajectories.
+
+    Attributes:
+        config: Its sizes.
+        map_encoder: Reads the pieces of the map.
+    """
+
+    map_encoder: nn.Module
 
     def __init__(self, config: NetworkConfig = NetworkConfig()) -> None:
         super().__init__()
-        self.config = c = config
-        self.map_encoder: nn.Module = MapEncoder(c.map)
+        self.config = config
+
+    @abstractmethod
+    def forward(self, scene: Scene) -> Prediction:
+        """Predicts the targets of a scene."""
+
+
+class RecurrentNetwork(TrajectoryNetwork):
+    """A GRU over the history, one trajectory."""
+
+    def __init__(self, config: NetworkConfig = NetworkConfig()) -> None:
+        super().__init__(config)
+        c = config
+        self.map_encoder = MapEncoder(c.map)
         self.step = nn.Conv1d(HISTORY_SIZE + 2, 48, 3, stride=2, padding=1)
         self.time = nn.GRU(48, c.history, batch_first=True)
         self.static = nn.Linear(STATIC_SIZE + 1, 32)
@@ -186,10 +241,11 @@ class TrajectoryNetwork(nn.Module):
         read = torch.cat([self.dropout(features), velocity[:, None] / VELOCITY_UNIT], -1)
         return constant_velocity(velocity) + grown(self.decoder(read))
 
-    def forward(self, scene: Scene) -> tuple[Tensor, Tensor]:
-        """(T, HORIZON, 2) trajectories, m, in each road user's frame, and (T, hidden) features."""
+    def forward(self, scene: Scene) -> Prediction:
+        """Predicts the targets of a scene."""
         features = self.encode(scene)
-        return self.decode(features, scene.pose[scene.targets, 3]), features
+        trajectory = self.decode(features, scene.pose[scene.targets, 3])
+        return Prediction(trajectory[:, None], torch.zeros_like(trajectory[:, 0, :1]), features)
 
     def _read_history(self, history: Tensor) -> Tensor:
         known = history[..., 5:]
@@ -201,20 +257,21 @@ class TrajectoryNetwork(nn.Module):
         return last[0]
 
 
-def step_seconds() -> Tensor:
-    """(HORIZON,) time of each predicted step, s."""
-    return STEP_SECONDS * torch.arange(1, HORIZON + 1, dtype=torch.float32)
+def step_seconds(like: Tensor | None = None) -> Tensor:
+    """(HORIZON,) time of each predicted step, s, where ``like`` is."""
+    device = None if like is None else like.device
+    return STEP_SECONDS * torch.arange(1, HORIZON + 1, dtype=torch.float32, device=device)
 
 
 def grown(learned: Tensor) -> Tensor:
     """(N, 2 HORIZON) -> (N, HORIZON, 2) m: it grows with time, so that first steps start exact."""
-    share = (0.05 + 0.5 * step_seconds())[:, None]
-    return learned.view(-1, HORIZON, 2) * share * learned.new_tensor([4.0, 2.0])
+    share = (0.05 + 0.5 * step_seconds(learned))[:, None]
+    return learned.reshape(-1, HORIZON, 2) * share * learned.new_tensor([4.0, 2.0])
 
 
 def constant_velocity(velocity: Tensor) -> Tensor:
     """(N,) m/s -> (N, HORIZON, 2) driving straight on, m, in each road user's frame."""
-    ahead = velocity[:, None] * step_seconds()
+    ahead = velocity[:, None] * step_seconds(velocity)
     return torch.stack([ahead, torch.zeros_like(ahead)], -1)
 
 

@@ -115,10 +115,10 @@ class NetPredictor(Predictor):
         """Runs the network.
 
         Returns:
-            The trajectories, with points for sets.
+            The most likely trajectories, with points for sets.
         """
         encoded = self.encoder.encode(observation)
-        local = encoded.trajectory[:, : self.horizon].astype(np.float64)
+        local = encoded.likeliest[:, : self.horizon].astype(np.float64)
         return placed(observation, encoded.moving, local)
 
 
@@ -138,22 +138,28 @@ def placed(observation: Observation, moving: IntArray, local: FloatArray) -> Occ
     centre = np.repeat(now[:, None, :2], steps, axis=1)
     heading = np.repeat(now[:, USER_HEADING, None], steps, axis=1)
     centre[moving] = to_world(local, now[moving, :3])
-    heading[moving] += _turned(local)
+    heading[moving] += turned(local)
     return Occupancy.from_trajectory(observation, centre, heading)
 
 
-def _turned(local: FloatArray) -> FloatArray:
-    """(M, T) heading along (M, T, 2) trajectories against the present one, rad.
+def turned(local: FloatArray) -> FloatArray:
+    """Headings along trajectories.
 
     The direction of the chord around each step, blended with the present heading where the chord
     is short: the direction of a trajectory that hardly moves is noise. Where a trajectory begins
     backwards, the road user is taken to reverse.
+
+    Args:
+        local: (..., T, 2) trajectories, each in its road user's frame, m.
+
+    Returns:
+        (..., T) headings against the present one, rad.
     """
-    with_start = np.concatenate((np.zeros_like(local[:, :1]), local), axis=1)
-    steps = np.arange(1, with_start.shape[1])
-    later = np.minimum(steps + HEADING_SPAN, with_start.shape[1] - 1)
+    with_start = np.concatenate((np.zeros_like(local[..., :1, :]), local), axis=-2)
+    steps = np.arange(1, with_start.shape[-2])
+    later = np.minimum(steps + HEADING_SPAN, with_start.shape[-2] - 1)
     earlier = np.maximum(steps - HEADING_SPAN, 0)
-    chord = with_start[:, later] - with_start[:, earlier]
-    chord *= np.where(chord[:, :1, :1] < 0.0, -1.0, 1.0)
-    turned = np.arctan2(chord[..., 1], chord[..., 0] + HEADING_MEMORY)
-    return np.asarray(np.unwrap(turned, axis=1), dtype=np.float64)
+    chord = with_start[..., later, :] - with_start[..., earlier, :]
+    chord *= np.where(chord[..., :1, :1] < 0.0, -1.0, 1.0)
+    angle = np.arctan2(chord[..., 1], chord[..., 0] + HEADING_MEMORY)
+    return np.asarray(np.unwrap(angle, axis=-1), dtype=np.float64)

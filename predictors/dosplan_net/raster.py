@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from dosplan_net.features import PIECE_CHANNELS, PIECE_POINTS
-from dosplan_net.network import DISTANCE_UNIT, NetworkConfig, TrajectoryNetwork
+from dosplan_net.network import DISTANCE_UNIT, NetworkConfig, RecurrentNetwork
 
 SIDE: Final = 64  # Cells along and across.
 CELL_AHEAD: Final = 1.5  # m
@@ -25,8 +25,8 @@ _POINT_VALUES: Final = PIECE_POINTS * PIECE_CHANNELS
 _FOR_CARS: Final = _POINT_VALUES + 1  # Column of a kept piece; see ``features.MapPieces``.
 
 
-class RasterNetwork(TrajectoryNetwork):
-    """``TrajectoryNetwork`` that sees the road as an image."""
+class RasterNetwork(RecurrentNetwork):
+    """``RecurrentNetwork`` that sees the road as an image."""
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)

@@ -29,7 +29,14 @@ from dosplan.scenario.synthetic import steady_tracks
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, Observation, Occupancy, RoadMap, RoadUserKind
 from tests.support.lights import regulated_scenario
-from tests.support.models import save_lights, save_network, save_sets, seen_at
+from tests.support.models import (
+    MODES,
+    save_lights,
+    save_network,
+    save_sets,
+    save_unions,
+    seen_at,
+)
 
 pytest.importorskip("onnxruntime", reason='needs onnxruntime: pip install "dosplan[onnx]"')
 onnx = pytest.importorskip("onnx", reason='needs onnx: pip install "dosplan[onnx]"')
@@ -54,6 +61,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     export(
         "--network", network, "--sets", *(save_sets(made / f"{v}.safetensors", v) for v in Variant)
     )
+    several = save_network(made / "several.safetensors", config=MODES)
+    export("--network", several, "--sets", save_unions(made / "unions.safetensors"))
     return made
 
 
@@ -104,6 +113,23 @@ def test_every_representation_is_exported(variant: Variant, folder: Path) -> Non
     seen = seen_at(steady_tracks(first), 40)
     reference, ours = (p.predict(seen) for p in predictors(folder, variant))
     assert_same(ours, reference)
+
+
+@pytest.mark.parametrize("ref", REFS, ids=lambda ref: ref.id)
+def test_both_engines_predict_the_same_unions(ref: ScenarioRef, folder: Path) -> None:
+    scenario = load_scenario(ref, cached=True)
+    settings = DosSettings(
+        sets=str(folder / "unions.safetensors"), network=folder / "several.safetensors"
+    )
+    seen = World(scenario, first_step=scenario.task.start_step, history=31).observation()
+    reference, ours = (
+        DosPredictor(settings=replace(settings, engine=engine)).predict(seen) for engine in Engine
+    )
+    assert ours.union is not None
+    assert reference.union is not None
+    assert ours.union.count == 3
+    np.testing.assert_allclose(ours.union.weight, reference.union.weight, rtol=0, atol=CLOSE)
+    assert_same(ours.by_component()[0], reference.by_component()[0])
 
 
 def _seen(first: Sequence[Sequence[float]], kind: RoadUserKind = RoadUserKind.CAR) -> Observation:

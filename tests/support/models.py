@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import torch
 from dosplan_dos.losses import LossConfig
-from dosplan_dos.module import OccupancyModule, SetConfig
+from dosplan_dos.module import OccupancyModule, SetConfig, UnionModule
 from dosplan_dos.shapes import Variant
 from dosplan_dos.training import MODEL as SETS_MODEL
 from dosplan_dos.training import describe_config
 from dosplan_net.build import MODEL as NETWORK_MODEL
+from dosplan_net.build import build_network
 from dosplan_net.light_network import LightConfig, LightResponse, save_response
-from dosplan_net.network import NetworkConfig, TrajectoryNetwork
+from dosplan_net.network import MODAL, NetworkConfig, TrajectoryNetwork
 from dosplan_net.weights import save_weights
 from shapely import affinity
 
@@ -25,22 +26,24 @@ from dosplan.types import FloatArray, Observation, RoadMap, Scenario, Tracks
 torch.set_num_threads(1)  # For models this small more threads only cost time.
 
 TINY = NetworkConfig(history=8, map=8, hidden=12, heads=2, decoder=16)
+MODES = replace(TINY, architecture=MODAL, modes=3)
 
 
 def tiny_network(seed: int = 0, config: NetworkConfig = TINY) -> TrajectoryNetwork:
     """A network whose decoder says more than a fresh one's, so that its inputs matter."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        network = TrajectoryNetwork(config)
+        network = build_network(config)
+    last = "path.weight" if config.architecture == MODAL else "decoder.2.weight"
     with torch.no_grad():
-        network.get_parameter("decoder.2.weight").mul_(10.0)
+        network.get_parameter(last).mul_(10.0)
     return network.eval()
 
 
-def save_network(path: Path, seed: int = 0) -> Path:
+def save_network(path: Path, seed: int = 0, config: NetworkConfig = TINY) -> Path:
     """Writes a tiny network as training would."""
-    about = {"model": NETWORK_MODEL, "network": asdict(TINY), "validation": {"ade": 1.0}}
-    save_weights(path, tiny_network(seed).state_dict(), about)
+    about = {"model": NETWORK_MODEL, "network": asdict(config), "validation": {"ade": 1.0}}
+    save_weights(path, tiny_network(seed, config).state_dict(), about)
     return path
 
 
@@ -63,6 +66,19 @@ def save_sets(path: Path, variant: Variant = Variant.FREE, seed: int = 0) -> Pat
         module = OccupancyModule(config)
     with torch.no_grad():
         module.get_parameter("decoder.2.weight").mul_(5.0)
+    about = {"model": SETS_MODEL, "module": describe_config(config), "validation": {"osa90": 1.0}}
+    save_weights(path, module.state_dict(), about)
+    return path
+
+
+def save_unions(path: Path, *, shifted: bool = False, seed: int = 0) -> Path:
+    """Writes a tiny module of unions on the features of a tiny network of several courses."""
+    config = SetConfig(
+        Variant.PATH, LossConfig(), features=TINY.hidden, hidden=8, modes=3, shifted=shifted
+    )
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        module = UnionModule(config)
     about = {"model": SETS_MODEL, "module": describe_config(config), "validation": {"osa90": 1.0}}
     save_weights(path, module.state_dict(), about)
     return path

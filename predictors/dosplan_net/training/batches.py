@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,7 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from dosplan.evaluation.groups import MOVING
-from dosplan_net.features import HISTORY
+from dosplan.types import STEP_SECONDS
+from dosplan_net.features import HISTORY, HORIZON
 from dosplan_net.network import Scene
 from dosplan_net.training.cache import WindowCache
 
@@ -25,10 +27,12 @@ class Selection:
     Attributes:
         cache: The cache.
         scenes: (S,) the scenes.
+        device: Where their tensors are to be, as torch names it.
     """
 
     cache: WindowCache
     scenes: npt.NDArray[np.int64]
+    device: str = "cpu"
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ class RawBatch:
 
     Attributes:
         windows: (B,) windows of the cache.
+        scene_of: (B,) number of each window's scene in the batch.
         recording: (B,) recording of each window.
         pose: (B, 4); ``history``, ``static``, ``neighbours``, ``pieces``: see ``network.Scene``.
         history: See ``network.Scene``.
@@ -52,6 +57,7 @@ class RawBatch:
     """
 
     windows: Tensor
+    scene_of: Tensor
     recording: Tensor
     pose: Tensor
     history: Tensor
@@ -86,43 +92,51 @@ class RawBatch:
         return (drives | far) & self.moves & self.future_valid[:, 0]
 
 
-def read_scenes(cache: WindowCache, scenes: Sequence[int] | npt.NDArray[np.int64]) -> RawBatch:
+def read_scenes(
+    cache: WindowCache, scenes: Sequence[int] | npt.NDArray[np.int64], device: str = "cpu"
+) -> RawBatch:
     """Reads some scenes of a cache into one batch.
 
     Args:
         cache: The cache.
         scenes: Which; a scene may come more than once.
+        device: Where the batch is to be.
 
     Returns:
         The batch.
     """
-    spans = [(int(cache.scene_start[s]), int(cache.scene_start[s + 1])) for s in scenes]
-    windows = np.concatenate([np.arange(a, b) for a, b in spans])
-    lengths = np.array([b - a for a, b in spans])
-    # A neighbour's row in the batch: its place in its scene, after the scenes before.
-    shift = np.repeat(np.cumsum(lengths) - lengths - np.array([a for a, _ in spans]), lengths)
-    neighbours = cache.neighbours[windows].astype(np.int64)
-    neighbours = np.where(neighbours < 0, -1, neighbours + shift[:, None])
-    pieces = cache.pieces[windows].astype(np.int64)
-    used, rows = np.unique(pieces, return_inverse=True)
-    rows = rows.reshape(pieces.shape)
-    if len(used) and used[0] == -1:
-        used, rows = used[1:], rows - 1
-    take = torch.from_numpy
+    drawn = np.asarray(scenes)
+    begins, ends = cache.scene_start[drawn], cache.scene_start[drawn + 1]
+    lengths = ends - begins
+    scene_of = np.repeat(np.arange(len(drawn)), lengths)
+    # A window's place in the cache against its place in the batch.
+    shift = np.repeat(begins - (np.cumsum(lengths) - lengths), lengths)
+    rows = np.arange(len(shift)) + shift
+    windows, offset = (torch.from_numpy(part).to(device) for part in (rows, shift))
+
+    def take(name: str) -> Tensor:
+        return cache.tensor(name, device)[windows]
+
+    neighbours = take("neighbours").long()
+    pieces = take("pieces").long()
+    used, found = torch.unique(pieces, return_inverse=True)
+    nothing = int(len(used) > 0 and used[0] < 0)
+    used = used[nothing:]
     return RawBatch(
-        windows=take(windows),
-        recording=take(np.repeat(cache.scene_recording[np.asarray(scenes)], lengths)),
-        pose=take(cache.pose[windows]),
-        history=take(cache.history[windows]),
-        static=take(cache.static[windows]),
-        neighbours=take(neighbours),
-        pieces=take(rows),
-        piece_shape=take(cache.piece_shape[used]),
-        piece_attributes=take(cache.piece_attributes[used]),
-        piece_pose=take(cache.piece_pose[used]),
-        moves=take(cache.moves[windows]),
-        future=take(cache.future[windows]),
-        future_valid=take(cache.future_valid[windows]),
+        windows=windows,
+        scene_of=torch.from_numpy(scene_of).to(device),
+        recording=torch.from_numpy(cache.scene_recording[drawn][scene_of]).to(device),
+        pose=take("pose"),
+        history=take("history"),
+        static=take("static"),
+        neighbours=torch.where(neighbours < 0, -1, neighbours - offset[:, None]),
+        pieces=found.view_as(pieces) - nothing,
+        piece_shape=cache.tensor("piece_shape", device)[used],
+        piece_attributes=cache.tensor("piece_attributes", device)[used],
+        piece_pose=cache.tensor("piece_pose", device)[used],
+        moves=take("moves"),
+        future=take("future"),
+        future_valid=take("future_valid"),
     )
 
 
@@ -135,15 +149,16 @@ def mirrored(batch: RawBatch) -> RawBatch:
     Returns:
         Its mirror image.
     """
+    sign = batch.pose.new_tensor
     attributes = batch.piece_attributes[:, [0, 1, 3, 2, 4]]  # Left and right neighbours change.
     return replace(
         batch,
-        pose=batch.pose * torch.tensor([1.0, -1.0, -1.0, 1.0]),
-        history=batch.history * torch.tensor([1.0, -1.0, 1.0, -1.0, 1.0, 1.0]),
-        piece_shape=batch.piece_shape * torch.tensor([1.0, -1.0, 1.0]),
+        pose=batch.pose * sign([1.0, -1.0, -1.0, 1.0]),
+        history=batch.history * sign([1.0, -1.0, 1.0, -1.0, 1.0, 1.0]),
+        piece_shape=batch.piece_shape * sign([1.0, -1.0, 1.0]),
         piece_attributes=attributes,
-        piece_pose=batch.piece_pose * torch.tensor([1.0, -1.0, -1.0]),
-        future=batch.future * torch.tensor([1.0, -1.0, -1.0]),
+        piece_pose=batch.piece_pose * sign([1.0, -1.0, -1.0]),
+        future=batch.future * sign([1.0, -1.0, -1.0]),
     )
 
 
@@ -161,10 +176,144 @@ def cut_histories(batch: RawBatch, share: float, random: np.random.Generator) ->
     count = len(batch.pose)
     cut = random.integers(1, HISTORY, count) * (random.random(count) < share)
     keep = torch.from_numpy(np.arange(HISTORY)[None] >= cut[:, None])
-    history = batch.history * keep[..., None]
+    history = batch.history * keep.to(batch.history.device)[..., None]
     static = batch.static.clone()
     static[:, -1] = history[..., 5].mean(1)
     return replace(batch, history=history, static=static)
+
+
+def retimed(batch: RawBatch, spread: float, random: np.random.Generator) -> RawBatch:
+    """The batch as if time went faster or slower in each scene: other speeds on the same ways.
+
+    States between two recorded ones are interpolated; those beyond what was recorded are not known.
+
+    Args:
+        batch: A batch.
+        spread: A scene's time goes between 1 / (1 + spread) and 1 + spread times as fast.
+        random: Generator that draws the factors.
+
+    Returns:
+        The batch at other speeds.
+    """
+    scenes = int(batch.scene_of.max()) + 1
+    drawn = np.exp(np.log1p(spread) * random.uniform(-1.0, 1.0, scenes))
+    factor = torch.from_numpy(drawn.astype(np.float32)).to(batch.pose.device)[batch.scene_of]
+    # Future headings go where the history has their sine: both are zero now.
+    x, y, heading = batch.future.chunk(3, -1)
+    nothing, there = torch.zeros_like(x), batch.future_valid[..., None].float()
+    ahead = torch.cat([x, y, nothing, heading, nothing, there], -1)
+    track = torch.cat([batch.history, ahead], 1)
+    steps = torch.arange(1 - HISTORY, HORIZON + 1, device=factor.device)
+    at = steps * factor[:, None] + (HISTORY - 1)
+    known = (at >= 0) & (at <= track.shape[1] - 1)
+    first = at.floor().long().clamp(0, track.shape[1] - 2)
+    share = (at - first).clamp(0.0, 1.0)[..., None]
+    wide = (-1, -1, track.shape[2])
+    before, after = (track.gather(1, row[..., None].expand(*wide)) for row in (first, first + 1))
+    mixed = before + share * (after - before)
+    # A state on a recorded one needs no second.
+    whole = ((before[..., 5] > 0) | (share[..., 0] > 1 - 1e-4)) & (
+        (after[..., 5] > 0) | (share[..., 0] < 1e-4)
+    )
+    known = known & whole
+    history = mixed[:, :HISTORY] * known[:, :HISTORY, None]
+    history[..., 4] *= factor[:, None]
+    history[..., 5] = known[:, :HISTORY].float()
+    static = batch.static.clone()
+    static[:, -1] = history[..., 5].mean(1)
+    pose = batch.pose.clone()
+    pose[:, 3] *= factor
+    future = mixed[:, HISTORY:, [0, 1, 3]]
+    valid = known[:, HISTORY:]
+    return replace(
+        batch,
+        pose=pose,
+        history=history,
+        static=static,
+        future=future * valid[..., None],
+        future_valid=valid,
+    )
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors with which road users are seen; the defaults are those of the realistic loop.
+
+    Attributes:
+        position: Standard deviation along x and along y, m.
+        speed: m/s.
+        heading: rad.
+        correlation: Correlation time, s.
+    """
+
+    position: float = 0.15
+    speed: float = 0.25
+    heading: float = 0.075
+    correlation: float = 0.5
+
+
+def disturbed(
+    batch: RawBatch, share: float, errors: Errors, random: np.random.Generator
+) -> RawBatch:
+    """The batch as sensors that err see some of its scenes; what comes is as recorded.
+
+    Args:
+        batch: A batch.
+        share: Share of the scenes.
+        errors: How they err: first-order Gauss-Markov processes, as in ``dosplan.simulation``.
+        random: Generator that draws scenes and errors.
+
+    Returns:
+        The batch with errors in the states until now, in the frames of the present states as seen.
+    """
+    scenes = int(batch.scene_of.max()) + 1
+    device, count = batch.pose.device, len(batch.pose)
+    chosen = torch.from_numpy(random.random(scenes) < share).to(device)[batch.scene_of]
+    kept = math.exp(-STEP_SECONDS / errors.correlation)
+    generator = torch.Generator(device).manual_seed(int(random.integers(2**62)))
+    noise = torch.randn(count, HISTORY, 4, generator=generator, device=device)
+    process = [noise[:, 0]]
+    for step in range(1, HISTORY):
+        process.append(kept * process[-1] + math.sqrt(1.0 - kept**2) * noise[:, step])
+    size = noise.new_tensor([errors.position, errors.position, errors.heading, errors.speed])
+    error = torch.stack(process, 1) * size * (chosen & batch.moves)[:, None, None]
+    now = error[:, -1]
+    known = batch.history[..., 5:]
+    seen = batch.history[..., :2] + error[..., :2]
+    turn = (
+        torch.atan2(batch.history[..., 3], batch.history[..., 2]) + error[..., 2] - now[:, None, 2]
+    )
+    speed = batch.history[..., 4] + error[..., 3]
+    parts = [
+        into(now, seen),
+        torch.cos(turn)[..., None],
+        torch.sin(turn)[..., None],
+        speed[..., None],
+    ]
+    heading = batch.pose[:, 2]
+    cosine, sine = torch.cos(heading), torch.sin(heading)
+    pose = batch.pose + torch.stack(
+        [
+            now[:, 0] * cosine - now[:, 1] * sine,
+            now[:, 0] * sine + now[:, 1] * cosine,
+            now[:, 2],
+            now[:, 3],
+        ],
+        -1,
+    )
+    future = torch.cat(
+        [into(now, batch.future[..., :2]), batch.future[..., 2:] - now[:, None, 2:3]], -1
+    )
+    history = torch.cat([*parts, known], -1) * known
+    return replace(batch, pose=pose, history=history, future=future)
+
+
+def into(pose: Tensor, points: Tensor) -> Tensor:
+    """(B, T, 2) points in the frames of the poses (B, 3 or more): x, y, heading."""
+    offset = points - pose[:, None, :2]
+    cosine, sine = torch.cos(pose[:, None, 2]), torch.sin(pose[:, None, 2])
+    ahead = offset[..., 0] * cosine + offset[..., 1] * sine
+    return torch.stack([ahead, offset[..., 1] * cosine - offset[..., 0] * sine], -1)
 
 
 def in_order(selection: Selection, size: int) -> Iterator[RawBatch]:
@@ -177,14 +326,10 @@ def in_order(selection: Selection, size: int) -> Iterator[RawBatch]:
     Yields:
         Batches.
     """
-    yield from _chunks(selection.cache, selection.scenes, size)
-
-
-def _chunks(cache: WindowCache, scenes: npt.NDArray[np.int64], size: int) -> Iterator[RawBatch]:
-    """Groups scenes into batches of at least ``size`` windows, but for the last."""
+    cache, scenes = selection.cache, selection.scenes
     lengths = cache.scene_start[scenes + 1] - cache.scene_start[scenes]
     bins = np.cumsum(lengths) - lengths
     for number in range(int(bins[-1] // size) + 1 if len(bins) else 0):
         chosen = scenes[bins // size == number]
         if len(chosen):
-            yield read_scenes(cache, chosen)
+            yield read_scenes(cache, chosen, selection.device)

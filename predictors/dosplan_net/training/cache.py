@@ -12,13 +12,15 @@ import re
 import zipfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
 from dosplan.evaluation.groups import SIMULATED
 from dosplan.geometry import to_body, wrap_angle
@@ -85,6 +87,21 @@ class WindowCache:
     groups: tuple[str, ...]
     simulated: tuple[bool, ...]
     loop: str
+    _kept: dict[tuple[str, str], Tensor] = field(default_factory=dict, repr=False, compare=False)
+
+    def tensor(self, name: str, device: str = "cpu") -> Tensor:
+        """One of the arrays as a tensor; on another device it is kept for the next call.
+
+        Args:
+            name: The array.
+            device: Where the tensor is to be, as torch names it.
+
+        Returns:
+            The tensor; on the CPU it is read from the disk where it is looked at.
+        """
+        if (name, device) not in self._kept:
+            self._kept[name, device] = torch.from_numpy(getattr(self, name)).to(device)
+        return self._kept[name, device]
 
     @property
     def scenes(self) -> int:
@@ -112,7 +129,7 @@ class WindowCache:
                     "build it again with dosplan data build"
                 )
             arrays: dict[str, Any] = {
-                name: np.load(folder / f"{name}.npy", mmap_mode="r", allow_pickle=False)
+                name: np.load(folder / f"{name}.npy", mmap_mode="c", allow_pickle=False)
                 for name in ("scene_start", *_LAYOUT)
             }
             for name in ("recordings", "groups", "simulated"):

@@ -23,8 +23,10 @@ from dosplan_net.light_network import (
     save_response,
 )
 from dosplan_net.lights import COLOUR_SIZE
+from dosplan_net.network import Prediction
 from dosplan_net.training.batches import Selection
 from dosplan_net.training.cache import CacheError, WindowCache
+from dosplan_net.training.losses import TrajectoryLoss, displacements
 from dosplan_net.training.optimise import FitSettings, fit
 from dosplan_net.training.train import NET, run_over
 from dosplan_net.weights import load_weights
@@ -38,11 +40,13 @@ class LightTraining:
         response: Sizes of the response; the width of the features is the network's.
         fit: How it is trained.
         batch: Windows in a batch.
+        loss: What the answers are trained for; how likely each is stays as the network has it.
     """
 
     response: LightConfig = field(default_factory=LightConfig)
     fit: FitSettings = field(default_factory=FitSettings)
     batch: int = 1024
+    loss: TrajectoryLoss = field(default_factory=TrajectoryLoss)
 
 
 @dataclass(frozen=True)
@@ -51,7 +55,8 @@ class LitWindows:
 
     Attributes:
         features: (W, hidden) features H.
-        trajectory: (W, HORIZON, 2) what the network says, m.
+        trajectory: (W, M, HORIZON, 2) what the network says, m.
+        log_weight: (W, M) how likely it takes each to be.
         velocity: (W,) m/s.
         lights: (W, LIGHT_SIZE) see ``lights.describe_lights``.
         history: (W, HISTORY, 6) see ``features.SceneFeatures``.
@@ -62,6 +67,7 @@ class LitWindows:
 
     features: Tensor
     trajectory: Tensor
+    log_weight: Tensor
     velocity: Tensor
     lights: Tensor
     history: Tensor
@@ -74,8 +80,9 @@ class LitWindows:
         return LitWindows(*(value[rows] for value in vars(self).values()))
 
     def error(self, trajectory: Tensor) -> Tensor:
-        """(W, HORIZON) displacement of trajectories, m."""
-        return torch.sqrt((trajectory - self.future).square().sum(-1) + 1e-6)
+        """(W, HORIZON) displacement of the most likely of (W, M, HORIZON, 2) trajectories, m."""
+        error = displacements(trajectory, self.future)
+        return error[torch.arange(len(error)), self.log_weight.argmax(1)]
 
 
 def lit_windows(network: Path, caches: Sequence[Path]) -> LitWindows:
@@ -96,15 +103,14 @@ def lit_windows(network: Path, caches: Sequence[Path]) -> LitWindows:
     model, recordings = load_network(network), 0
     for path in caches:
         cache = WindowCache.open(path)
-        for batch, trajectory, features in run_over(
-            model, Selection(cache, np.arange(cache.scenes))
-        ):
+        for batch, foretold in run_over(model, Selection(cache, np.arange(cache.scenes))):
             lights = torch.from_numpy(cache.lights[batch.windows.numpy()])
             rows = lights[:, :COLOUR_SIZE].any(1) & batch.moves & batch.future_valid[:, 0]
             found.append(
                 (
-                    features[rows],
-                    trajectory[rows],
+                    foretold.features[rows],
+                    foretold.trajectory[rows],
+                    foretold.log_weight[rows],
                     batch.pose[rows, 3],
                     lights[rows],
                     batch.history[rows],
@@ -140,7 +146,7 @@ def train_lights(
 
     Returns:
         The figures of the best validation: ``ade`` over every recorded step and ``fde`` at the
-        last, m, of windows with a light ahead.
+        last, m, of the most likely trajectories of windows with a light ahead.
     """
     weights, target = network / f"{NET}.safetensors", out / f"{NET}{BESIDE}"
     if target.is_file():
@@ -148,14 +154,19 @@ def train_lights(
         return done
     windows, held_out = lit_windows(weights, caches), lit_windows(weights, [validation])
     torch.manual_seed(config.fit.seed)
-    response = LightResponse(replace(config.response, features=windows.features.shape[1]))
+    modes = windows.trajectory.shape[1]
+    response = LightResponse(
+        replace(config.response, features=windows.features.shape[1], modes=modes)
+    )
 
     def loss_at(step: int) -> Tensor:
         random = np.random.default_rng((config.fit.seed, step))
         rows = torch.from_numpy(random.integers(0, len(windows.velocity), config.batch))
         part = windows.part(rows)
-        error = part.error(respond(response, part))
-        return (error * part.valid).sum() / part.valid.sum().clamp(min=1)
+        answer = respond(response, part)
+        found = Prediction(answer, part.log_weight, part.features)
+        total, count = config.loss.total(found, part.future, part.valid)
+        return total / count.clamp(min=1)
 
     figures = fit(
         response,
@@ -170,7 +181,7 @@ def train_lights(
 
 
 def respond(response: LightResponse, windows: LitWindows) -> Tensor:
-    """(W, HORIZON, 2) trajectories with the response, m."""
+    """(W, M, HORIZON, 2) trajectories with the response, m."""
     answer: Tensor = response(
         windows.features, windows.trajectory, windows.velocity, windows.lights
     )
@@ -181,7 +192,7 @@ def displacement(trajectory: Tensor, windows: LitWindows) -> dict[str, float]:
     """Displacement errors.
 
     Args:
-        trajectory: (W, HORIZON, 2) trajectories, m.
+        trajectory: (W, M, HORIZON, 2) trajectories, m.
         windows: The windows.
 
     Returns:

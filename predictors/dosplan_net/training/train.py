@@ -20,16 +20,20 @@ from torch import Tensor
 from dosplan.system.files import atomic_file
 from dosplan_net.build import MODEL, build_network, load_network
 from dosplan_net.features import HORIZON
-from dosplan_net.network import NetworkConfig, TrajectoryNetwork
+from dosplan_net.network import NetworkConfig, Prediction, TrajectoryNetwork
 from dosplan_net.training.batches import (
+    Errors,
     RawBatch,
     Selection,
     cut_histories,
+    disturbed,
     in_order,
     mirrored,
     read_scenes,
+    retimed,
 )
 from dosplan_net.training.cache import WindowCache
+from dosplan_net.training.losses import TrajectoryLoss, best_of, displacements
 from dosplan_net.training.optimise import FitSettings, fit
 from dosplan_net.weights import WeightsError, load_weights, save_weights
 
@@ -48,6 +52,9 @@ class NetTraining:
         recorded_weight: Weight of a recorded scene in the draw; a simulated one has 1.
         standing_share: Share of the windows of standing road users that is trained on.
         forgetting: Share of the histories that are cut short.
+        retiming: How much faster or slower, as a share, the time of a scene goes at most.
+        disturbed: Share of the scenes that are seen with the errors of the realistic loop.
+        loss: What the trajectories are trained for.
     """
 
     network: NetworkConfig = field(default_factory=NetworkConfig)
@@ -57,6 +64,9 @@ class NetTraining:
     recorded_weight: float = 2.0
     standing_share: float = 0.2
     forgetting: float = 0.3
+    retiming: float = 0.0
+    disturbed: float = 0.0
+    loss: TrajectoryLoss = field(default_factory=TrajectoryLoss)
 
 
 def stages(config: NetTraining) -> list[str]:
@@ -78,6 +88,7 @@ def train_stage(
     validation: Path,
     out: Path,
     report: Callable[[str], None] = print,
+    device: str = "cpu",
 ) -> dict[str, float]:
     """Trains one part; does nothing where it is done.
 
@@ -89,6 +100,7 @@ def train_stage(
         validation: Cache of validation windows.
         out: Folder of the training; ``STAGE.safetensors`` is written there.
         report: Called with each line of progress.
+        device: Where to train, as torch names it.
 
     Returns:
         The figures of the best validation.
@@ -106,13 +118,13 @@ def train_stage(
         for cache, fold in zip(opened, folds, strict=True)
     ]
     torch.manual_seed(config.fit.seed * 7919 + own)
-    network = build_network(config.network)
-    source = _Source(opened, scenes, config)
+    network = build_network(config.network).to(device)
+    source = _Source(opened, scenes, config, device)
     held_out = WindowCache.open(validation)
     figures = fit(
         network,
         lambda step: source.loss(network, step),
-        lambda model: displacement(model, held_out),  # type: ignore[arg-type]
+        lambda model: displacement(model, held_out, device),  # type: ignore[arg-type]
         config.fit,
         out / stage,
         lambda line: report(f"{stage}: {line}"),
@@ -146,17 +158,31 @@ def assign_folds(caches: Sequence[WindowCache], folds: int) -> list[npt.NDArray[
     return [np.array([fold_of[group] for group in cache.groups]) for cache in caches]
 
 
+@dataclass(frozen=True)
+class Foretold:
+    """What was foretold of the windows of a cache. W windows, M trajectories each.
+
+    Attributes:
+        trajectory: (W, M, HORIZON, 2) in each road user's frame, m.
+        log_weight: (W, M) logarithms of how likely each is.
+    """
+
+    trajectory: npt.NDArray[np.float32]
+    log_weight: npt.NDArray[np.float32]
+
+
 def cross_fitted_trajectories(
-    caches: Sequence[Path], folder: Path
-) -> list[npt.NDArray[np.float32]]:
+    caches: Sequence[Path], folder: Path, device: str = "cpu"
+) -> list[Foretold]:
     """Predicts each training recording with the network of its fold, which was not trained on it.
 
     Args:
         caches: The caches that the networks were trained on, in that order.
         folder: Folder of the training; the trajectories are kept there.
+        device: Where to predict.
 
     Returns:
-        For each cache, (W, HORIZON, 2) trajectories, m, in each road user's frame.
+        For each cache, the trajectories.
 
     Raises:
         WeightsError: The networks of the cross-fitting are not there.
@@ -168,7 +194,7 @@ def cross_fitted_trajectories(
         )
     opened = [WindowCache.open(path) for path in caches]
     return [
-        _cross_fitted(cache, fold, len(fitted), folder, f"{number}-{path.name}")
+        _cross_fitted(cache, fold, len(fitted), folder, f"{number}-{path.name}", device)
         for number, (cache, fold, path) in enumerate(
             zip(opened, assign_folds(opened, len(fitted)), caches, strict=True)
         )
@@ -176,26 +202,36 @@ def cross_fitted_trajectories(
 
 
 def _cross_fitted(
-    cache: WindowCache, fold: npt.NDArray[np.int64], folds: int, folder: Path, name: str
-) -> npt.NDArray[np.float32]:
-    kept = folder / f"cross-fitted-{name}.npy"
-    if kept.is_file():
-        known: npt.NDArray[np.float32] = np.load(kept, mmap_mode="r", allow_pickle=False)
-        return known
-    answer = np.zeros((len(cache.pose), HORIZON, 2), dtype=np.float32)
+    cache: WindowCache,
+    fold: npt.NDArray[np.int64],
+    folds: int,
+    folder: Path,
+    name: str,
+    device: str,
+) -> Foretold:
+    kept = [folder / f"cross-fitted-{name}-{part}.npy" for part in ("trajectory", "log_weight")]
+    if all(path.is_file() for path in kept):
+        return Foretold(*(np.load(path, mmap_mode="r", allow_pickle=False) for path in kept))
+    parts: list[npt.NDArray[np.float32]] = []
     for k in range(folds):
-        network = load_network(folder / f"fold-{k}.safetensors")
+        network = load_network(folder / f"fold-{k}.safetensors").to(device)
+        modes = network.config.modes
+        if not parts:
+            shapes = ((len(cache.pose), modes, HORIZON, 2), (len(cache.pose), modes))
+            parts = [np.zeros(shape, dtype=np.float32) for shape in shapes]
         scenes = np.flatnonzero(fold[cache.scene_recording] == k)
-        for batch, trajectory, _ in run_over(network, Selection(cache, scenes)):
-            answer[batch.windows.numpy()] = trajectory.numpy()
-    with atomic_file(kept) as file:
-        np.save(file, answer)
-    return answer
+        for batch, found in run_over(network, Selection(cache, scenes, device)):
+            for part, values in zip(parts, (found.trajectory, found.log_weight), strict=True):
+                part[batch.windows.cpu().numpy()] = values.cpu().numpy()
+    for path, part in zip(kept, parts, strict=True):
+        with atomic_file(path) as file:
+            np.save(file, part)
+    return Foretold(*parts)
 
 
 def run_over(
     network: TrajectoryNetwork, selection: Selection, size: int = 4096
-) -> Iterator[tuple[RawBatch, Tensor, Tensor]]:
+) -> Iterator[tuple[RawBatch, Prediction]]:
     """Runs a network over every window of some scenes.
 
     Args:
@@ -204,34 +240,50 @@ def run_over(
         size: Windows in a batch, about.
 
     Yields:
-        A batch, its (B, HORIZON, 2) trajectories, m, and its (B, hidden) features.
+        A batch, and what the network says of its windows.
     """
     network.eval()
     with torch.no_grad():
         for batch in in_order(selection, size):
-            everyone = torch.arange(len(batch.pose))
-            yield batch, *network(batch.scene(network.map_encoder, everyone))
+            everyone = torch.arange(len(batch.pose), device=batch.pose.device)
+            yield batch, network(batch.scene(network.map_encoder, everyone))
 
 
-def displacement(network: TrajectoryNetwork, cache: WindowCache) -> dict[str, float]:
+def displacement(
+    network: TrajectoryNetwork, cache: WindowCache, device: str = "cpu"
+) -> dict[str, float]:
     """Displacement errors of those that move or are about to.
 
     Args:
         network: The network.
         cache: Windows with their true futures.
+        device: Where the network is.
 
     Returns:
-        ``ade``: mean over every recorded step, m; ``fde``: at the last step, m.
+        ``score``: what weights are selected by, the mean of the next and ``best_ade``; ``ade``:
+        mean over every recorded step, m; ``fde``: at the last step; ``at_1``: at 1 s; each of the
+        most likely trajectory; ``best_ade``, ``best_fde``: of the best of them.
     """
-    total = torch.zeros(HORIZON)
-    count = torch.zeros(HORIZON)
-    for batch, trajectory, _ in run_over(network, Selection(cache, np.arange(cache.scenes))):
-        error = (trajectory - batch.future[..., :2]).norm(dim=-1)
+    total = torch.zeros(2, HORIZON, device=device)
+    count = torch.zeros(HORIZON, device=device)
+    for batch, found in run_over(network, Selection(cache, np.arange(cache.scenes), device)):
+        error = displacements(found.trajectory, batch.future)
         counted = batch.future_valid & batch.instructive[:, None]
-        total += (error * counted).sum(0)
+        rows = torch.arange(len(error), device=error.device)
+        chosen = (found.log_weight.argmax(1), best_of(error, batch.future_valid))
+        for number, which in enumerate(chosen):
+            total[number] += (error[rows, which] * counted).sum(0)
         count += counted.sum(0)
-    ade = total.sum() / count.sum().clamp(min=1)
-    return {"ade": float(ade), "fde": float(total[-1] / count[-1].clamp(min=1))}
+    mean = (total.sum(1) / count.sum().clamp(min=1)).tolist()
+    at = (total / count.clamp(min=1)).tolist()
+    return {
+        "score": 0.5 * (mean[0] + mean[1]),
+        "ade": mean[0],
+        "fde": at[0][-1],
+        "at_1": at[0][9],
+        "best_ade": mean[1],
+        "best_fde": at[1][-1],
+    }
 
 
 class _Source:
@@ -242,8 +294,10 @@ class _Source:
         caches: Sequence[WindowCache],
         scenes: Sequence[npt.NDArray[np.int64]],
         config: NetTraining,
+        device: str,
     ) -> None:
         self._caches = caches
+        self._device = device
         self._config = config
         # Every scene of every cache in one list, so that one draw mixes them by their weights.
         self._cache_of = np.repeat(np.arange(len(caches)), [len(s) for s in scenes])
@@ -263,11 +317,13 @@ class _Source:
             self._ends,
             random.random(max(int(self._config.batch / self._mean_windows), 1)) * self._ends[-1],
         )
-        total, count = torch.zeros(()), torch.zeros(())
-        for which in np.unique(self._cache_of[drawn]):
-            scenes = self._scenes[drawn[self._cache_of[drawn] == which]]
-            part_total, part_count = self._part(network, int(which), scenes, random)
-            total, count = total + part_total, count + part_count
+        parts = [
+            self._part(
+                network, int(which), self._scenes[drawn[self._cache_of[drawn] == which]], random
+            )
+            for which in np.unique(self._cache_of[drawn])
+        ]
+        total, count = (torch.stack(column).sum() for column in zip(*parts, strict=True))
         return total / count.clamp(min=1)
 
     def _part(
@@ -277,17 +333,22 @@ class _Source:
         scenes: npt.NDArray[np.int64],
         random: np.random.Generator,
     ) -> tuple[Tensor, Tensor]:
-        """Summed displacement, m, and number of steps, of scenes of one cache."""
-        batch = read_scenes(self._caches[which], scenes)
+        """Summed loss, m, and number of steps, of scenes of one cache."""
+        config = self._config
+        batch = read_scenes(self._caches[which], scenes, self._device)
+        targets = self._targets(batch, random)
         if random.random() < 0.5:
             batch = mirrored(batch)
-        batch = cut_histories(batch, self._config.forgetting, random)
-        targets = self._targets(batch, random)
-        trajectory, _ = network(batch.scene(network.map_encoder, targets))
-        error = torch.sqrt((trajectory - batch.future[targets, :, :2]).square().sum(-1) + 1e-6)
-        counted = batch.future_valid[targets]
-        return (error * counted).sum(), counted.sum()
+        if config.retiming:
+            batch = retimed(batch, config.retiming, random)
+        batch = cut_histories(batch, config.forgetting, random)
+        if config.disturbed:
+            batch = disturbed(batch, config.disturbed, Errors(), random)
+        found = network(batch.scene(network.map_encoder, targets))
+        valid = batch.future_valid[targets]
+        return config.loss.total(found, batch.future[targets], valid)
 
     def _targets(self, batch: RawBatch, random: np.random.Generator) -> Tensor:
         drawn = torch.from_numpy(random.random(len(batch.pose)) < self._config.standing_share)
+        drawn = drawn.to(batch.pose.device)
         return torch.where(batch.instructive | (drawn & batch.moves & batch.future_valid[:, 0]))[0]

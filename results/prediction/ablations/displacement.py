@@ -32,7 +32,7 @@ def main() -> None:
     count = torch.zeros(len(groups), HORIZON)
     for runs in zip(*(run_over(load_network(file), everything) for file in files), strict=True):
         batch = runs[0][0]
-        trajectories = torch.stack([trajectory for _, trajectory, _ in runs])
+        trajectories = torch.stack([found.likeliest() for _, found in runs])
         trajectories = torch.cat([trajectories, trajectories.mean(0, keepdim=True)])
         error = (trajectories - batch.future[..., :2]).norm(dim=-1)
         artificial = simulated[batch.recording]

@@ -20,10 +20,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from dosplan_dos.grid import GRID
-from dosplan_dos.predictor import DEFAULT_SETS, shipped_sets
+from dosplan_dos.predictor import shipped_sets
 from dosplan_dos.training import load_module
 from dosplan_net.light_network import load_response
 from dosplan_net.lights import COLOUR_SIZE
+from dosplan_net.network import Prediction
 from dosplan_net.training.lights import LitWindows, lit_windows, respond
 from torch import Tensor
 
@@ -35,6 +36,7 @@ Array = npt.NDArray[np.float64]
 DRAWS: Final = 2000
 MISS: Final = 2.0  # m at 4 s
 SECONDS: Final = (1, 2, 3, 4)
+SETS: Final = "coverage"
 PARTS: Final = 4096
 NETWORK, UNTOLD, TOLD = "network", "light ahead, nothing of it", "with lights"
 
@@ -76,20 +78,18 @@ def main() -> None:
 
 
 def judge(windows: LitWindows, trajectory: Tensor) -> Method:
-    """Compares trajectories, and the default sets around them, with the truth."""
-    module = load_module(shipped_sets(DEFAULT_SETS))
+    """Compares trajectories, and the sets of one ellipse around them, with the truth."""
+    module = load_module(shipped_sets(SETS))
     at = [round(s / STEP_SECONDS) - 1 for s in SECONDS]
     on_grid = [(step + 1) // GRID - 1 for step in at]
     distances, areas = [], []
     with torch.no_grad():
         for rows in torch.arange(len(trajectory)).split(PARTS):
-            sets = module(
-                windows.features[rows],
-                trajectory[rows],
-                windows.velocity[rows],
-                windows.history[rows],
-            )
-            off = (windows.future[rows] - trajectory[rows])[:, GRID - 1 :: GRID]
+            features = windows.features[rows]
+            found = Prediction(trajectory[rows], windows.log_weight[rows], features)
+            likeliest = found.likeliest()
+            sets = module(features, likeliest, windows.velocity[rows], windows.history[rows])
+            off = (windows.future[rows] - likeliest)[:, GRID - 1 :: GRID]
             distances.append(sets.distance(off)[:, on_grid].numpy())
             areas.append(sets.area[:, on_grid].numpy())
     return Method(

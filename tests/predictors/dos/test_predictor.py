@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from dosplan_dos.predictor import DosPredictor, DosSettings
 from dosplan_dos.shapes import Variant
+from dosplan_dos.training import load_module
 from dosplan_net.predictor import NetPredictor, NetSettings
 from dosplan_simple.predictors import ConstantVelocityPredictor, NonePredictor
 
@@ -17,7 +18,7 @@ from dosplan.api import PluginSpec, Predictor, PredictorSettings
 from dosplan.plugins.conformance import check_predictor
 from dosplan.scenario.synthetic import busy_scenario, crowded_scenario
 from dosplan.types import FloatArray, Observation, Occupancy
-from tests.support.models import moved, save_network, save_sets, seen, turned
+from tests.support.models import MODES, moved, save_network, save_sets, save_unions, seen, turned
 
 CONSTANT: PluginSpec[Predictor] = PluginSpec(ConstantVelocityPredictor)
 
@@ -201,3 +202,66 @@ def test_covering_the_whole_horizon_takes_more_than_covering_each_step() -> None
     whole = predict(DosSettings(coverage=0.9, simultaneous=True), observation)
     moving = each.semi_axes[..., 0] > 0
     assert np.mean(whole.semi_axes[moving] >= each.semi_axes[moving]) > 0.9
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["around", "beside"])
+def union_settings(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> DosSettings:
+    """Settings with a network of three courses and a module of unions."""
+    folder = tmp_path_factory.mktemp("unions")
+    sets = save_unions(folder / "unions.safetensors", shifted=request.param)
+    network = save_network(folder / "net.safetensors", config=MODES)
+    return DosSettings(network=network, sets=str(sets), scale=1.0)
+
+
+def test_unions_keep_the_contract(union_settings: DosSettings) -> None:
+    report = check_predictor(PluginSpec(DosPredictor, union_settings))
+    assert report.ok, report.failures
+
+
+def test_a_union_has_an_ellipse_around_each_course_of_events(union_settings: DosSettings) -> None:
+    observation = seen(busy_scenario())
+    predictor = DosPredictor(settings=union_settings)
+    union = predictor.predict(observation).union
+    assert union is not None
+    base = NetPredictor(settings=NetSettings(weights=union_settings.network)).predict(observation)
+    moving = [row for row, kind in enumerate(observation.kinds) if kind.moves]
+    likeliest = union.centre[np.arange(len(union.weight)), union.likeliest]
+    gap = np.linalg.norm(likeliest - base.centre, axis=-1)
+    if load_module(
+        union_settings.sets_file
+    ).config.shifted:  # Within the length of an axis each way.
+        assert gap.max() > 1e-3
+        assert gap.max() <= float(union.semi_axes.max()) * np.sqrt(2.0)
+    else:
+        assert gap.max() < 1e-4
+    np.testing.assert_allclose(
+        predictor.encoder.encode(observation).log_weight,
+        np.log(union.weight[moving]),
+        atol=1e-4,
+    )
+    assert np.all(union.semi_axes[moving] > 0.0)
+    parked = [row for row in range(len(observation.ids)) if row not in moving]
+    assert not union.semi_axes[parked].any()
+    np.testing.assert_array_equal(union.weight[parked], [[1.0, 0.0, 0.0]] * len(parked))
+
+
+def test_unions_grow_with_their_scale_and_turn_with_the_scene(union_settings: DosSettings) -> None:
+    observation = seen(busy_scenario())
+    once = predict(union_settings, observation).union
+    twice = predict(replace(union_settings, scale=2.0), observation).union
+    assert once is not None
+    assert twice is not None
+    np.testing.assert_allclose(twice.semi_axes, 2.0 * once.semi_axes)
+    np.testing.assert_array_equal(twice.weight, once.weight)
+
+
+def test_unions_on_another_base_have_one_ellipse(union_settings: DosSettings) -> None:
+    observation = seen(busy_scenario())
+    sets = predict(replace(union_settings, base=CONSTANT), observation)
+    assert sets.union is not None
+    assert sets.union.count == 1
+    base = ConstantVelocityPredictor().predict(observation)
+    gap = np.linalg.norm(sets.centre - base.centre, axis=-1)
+    assert np.all(gap <= sets.semi_axes.max(axis=-1) * np.sqrt(2.0) + 1e-4)

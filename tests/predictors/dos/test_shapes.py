@@ -13,6 +13,7 @@ from dosplan_dos.shapes import (
     LEAST_MOTION,
     MOTION_STEPS,
     Ellipses,
+    Unions,
     Variant,
     ellipses,
     grid_seconds,
@@ -207,3 +208,50 @@ def test_every_step_keeps_the_grid_and_fills_with_means(rows: int, steps: int, w
 def test_every_step_is_exact_on_a_line() -> None:
     seconds = grid_seconds().numpy()[None, :, None].astype(np.float64)
     np.testing.assert_allclose(every_step(seconds)[0, 1:, 0], 0.1 * np.arange(2, 41), rtol=1e-6)
+
+
+def union_of(*ellipses: tuple[float, float, float, float, float]) -> Unions:
+    """One union at one step, of ellipses x, y, a, b, angle."""
+    x, y, a, b, angle = torch.tensor(ellipses).T
+    return Unions(
+        torch.stack([a, b], -1)[None, :, None],
+        torch.stack([torch.cos(2 * angle), torch.sin(2 * angle)], -1)[None, :, None],
+        torch.stack([x, y], -1)[None, :, None],
+    )
+
+
+def test_the_area_of_a_union_counts_what_overlaps_once() -> None:
+    one = (1.0, -2.0, 3.0, 1.0, 0.4)
+    alone = math.pi * 3.0
+    assert float(union_of(one).area) == pytest.approx(alone, rel=1e-5)
+    # A smooth step stands for "inside", so that the same ellipse twice is a little more than one.
+    assert float(union_of(one, one, one).area_by(500)) == pytest.approx(alone, rel=0.15)
+    apart = union_of(one, (40.0, 0.0, 1.0, 2.0, 1.0))
+    assert float(apart.area_by(500)) == pytest.approx(alone + 2.0 * math.pi, rel=0.01)
+    within = union_of((0.0, 0.0, 6.0, 6.0, 0.0), (1.0, 0.0, 1.0, 0.5, 0.3))
+    assert float(within.area_by(500)) == pytest.approx(36.0 * math.pi, rel=0.02)
+    crossed = union_of((0.0, 0.0, 4.0, 1.0, 0.0), (0.5, 0.0, 4.0, 1.0, 1.2))
+    points = (torch.rand(200_000, 2, generator=torch.Generator().manual_seed(0)) - 0.5) * 12.0
+    inside = crossed.distances(points.view(-1, 1, 2)).amin(1) <= 1
+    assert float(crossed.area_by(500)) == pytest.approx(
+        144.0 * float(inside.float().mean()), rel=0.08
+    )
+
+
+def test_a_union_holds_what_any_of_its_ellipses_holds() -> None:
+    union = union_of((0.0, 0.0, 2.0, 1.0, 0.0), (10.0, 0.0, 1.0, 1.0, 0.0))
+    points = torch.tensor([[1.0, 0.0], [10.5, 0.0], [5.0, 0.0]]).view(3, 1, 2)
+    torch.testing.assert_close(union.distance(points)[:, 0], torch.tensor([0.5, 0.5, 2.5]))
+    factor = torch.tensor([2.5])
+    assert float(union.area_scaled(factor)) > 2.5 * float(union.area)
+
+
+def test_the_area_of_a_union_has_a_gradient_in_every_ellipse() -> None:
+    union = union_of((0.0, 0.0, 2.0, 1.0, 0.0), (1.5, 0.0, 1.0, 2.0, 0.7))
+    axes = union.semi_axes.clone().requires_grad_()
+    centre = union.centre.clone().requires_grad_()
+    Unions(axes, union.double_angle, centre).area.sum().backward()  # type: ignore[no-untyped-call]
+    assert axes.grad is not None
+    assert centre.grad is not None
+    assert (axes.grad > 0).all()
+    assert centre.grad[0, 1, 0, 0] > 0  # Further apart, they have less in common.

@@ -26,6 +26,7 @@ from dosplan_dos.training import (
 from dosplan_net.network import constant_velocity
 from dosplan_net.training.cache import WindowCache
 from dosplan_net.training.optimise import FitSettings
+from dosplan_net.training.train import Foretold
 
 from tests.support.models import TINY, save_network, save_sets
 
@@ -51,16 +52,17 @@ def test_windows_are_of_those_that_can_move(window_cache: Path, network: Path) -
     # Recordings of the second cache come after those of the first.
     expected = np.concatenate([owner[kept], owner[kept] + len(cache.recordings)])
     np.testing.assert_array_equal(windows.recording, expected)
-    assert torch.equal(windows.trajectory, constant_velocity(windows.velocity))
+    assert torch.equal(windows.trajectory, constant_velocity(windows.velocity)[:, None])
 
 
 def test_cross_fitted_trajectories_replace_the_networks_own(
     window_cache: Path, network: Path
 ) -> None:
     cache = WindowCache.open(window_cache)
-    trajectories = np.arange(len(cache.pose) * 80, dtype=np.float32).reshape(-1, 40, 2)
+    trajectories = np.arange(len(cache.pose) * 80, dtype=np.float32).reshape(-1, 1, 40, 2)
+    foretold = Foretold(trajectories, np.zeros((len(cache.pose), 1), dtype=np.float32))
     kept = cache.moves & cache.future_valid[:, 0]
-    windows = encode_windows([cache], network, "net", [trajectories])
+    windows = encode_windows([cache], network, "net", [foretold])
     np.testing.assert_array_equal(windows.trajectory, trajectories[kept])
     own = encode_windows([cache], network, "net")
     assert torch.equal(windows.features, own.features)
@@ -94,7 +96,7 @@ def test_scores_are_distances_and_nan_where_nothing_is_recorded(
         sets, _, _ = windows.sets(module, torch.tensor([row]))
     a, b = sets.semi_axes[0, -1].tolist()
     angle = 0.5 * math.atan2(*reversed(sets.double_angle[0, -1].tolist()))
-    x, y = (windows.future[row, -1] - windows.trajectory[row, -1]).tolist()
+    x, y = (windows.future[row, -1] - windows.trajectory[row, 0, -1]).tolist()
     ahead = x * math.cos(angle) + y * math.sin(angle)
     aside = y * math.cos(angle) - x * math.sin(angle)
     assert found[row, -1] == pytest.approx(math.hypot(ahead / a, aside / b), rel=1e-4)

@@ -11,12 +11,15 @@ import torch
 from dosplan_net.features import HISTORY
 from dosplan_net.network import TrajectoryNetwork, neighbour_relation, piece_relation
 from dosplan_net.training.batches import (
+    Errors,
     RawBatch,
     Selection,
     cut_histories,
+    disturbed,
     in_order,
     mirrored,
     read_scenes,
+    retimed,
 )
 from dosplan_net.training.cache import WindowCache
 
@@ -152,3 +155,49 @@ def test_instructive_are_those_that_move_or_will(cache: WindowCache) -> None:
     # A way that is not recorded does not count.
     future_valid[2, 30:] = False
     assert not batch.instructive[2]
+
+
+def test_other_times_are_other_speeds_on_the_same_ways(cache: WindowCache) -> None:
+    batch = read_scenes(cache, [5, 20, 30])
+    same = retimed(batch, 0.0, np.random.default_rng(0))
+    for name in ("pose", "history", "static", "future_valid"):
+        torch.testing.assert_close(getattr(same, name), getattr(batch, name))
+    other = retimed(batch, 0.3, np.random.default_rng(1))
+    factor = other.pose[:, 3] / batch.pose[:, 3]
+    moving = batch.pose[:, 3].abs() > 1.0
+    for scene in range(3):
+        ours = factor[moving & (batch.scene_of == scene)]
+        torch.testing.assert_close(ours, ours[:1].expand_as(ours))
+        assert 1 / 1.31 < float(ours[0]) < 1.31
+    assert not torch.allclose(factor[moving], torch.ones(()))
+    # After a time t, a road user is where it was after t times the factor.
+    row = int(torch.where(moving & batch.future_valid.all(1))[0][0])
+    at = np.arange(1, 41) * float(factor[row])
+    known = at <= 40
+    path = np.vstack([np.zeros(2), batch.future[row, :, :2].numpy()])
+    for axis in (0, 1):
+        expected = np.interp(at[known], np.arange(41), path[:, axis])
+        np.testing.assert_allclose(other.future[row, known, axis], expected, atol=1e-4)
+    assert torch.equal(other.future_valid[row], torch.from_numpy(known))
+
+
+def in_the_world(batch: RawBatch) -> torch.Tensor:
+    cosine, sine = (f(batch.pose[:, None, 2]) for f in (torch.cos, torch.sin))
+    x, y = batch.future[..., 0], batch.future[..., 1]
+    turned = torch.stack([x * cosine - y * sine, x * sine + y * cosine], -1)
+    return turned + batch.pose[:, None, :2]
+
+
+def test_sensors_err_about_the_past_and_not_about_what_comes(cache: WindowCache) -> None:
+    batch = read_scenes(cache, range(cache.scenes))
+    errors = Errors(position=0.2, speed=0.4, heading=0.1)
+    seen = disturbed(batch, 1.0, errors, np.random.default_rng(0))
+    torch.testing.assert_close(in_the_world(seen), in_the_world(batch), atol=1e-3, rtol=0)
+    off = (seen.pose - batch.pose)[batch.moves]
+    for column, size in enumerate((0.2, 0.2, 0.1, 0.4)):
+        assert float(off[:, column].std()) == pytest.approx(size, rel=0.15)
+    assert torch.equal(seen.pose[~batch.moves], batch.pose[~batch.moves])
+    torch.testing.assert_close(seen.history[:, -1, 4], seen.pose[:, 3])
+    assert seen.history[:, -1, :2].abs().max() < 1e-5  # One's own frame is where one is seen.
+    nobody = disturbed(batch, 0.0, errors, np.random.default_rng(0))
+    torch.testing.assert_close(nobody.history, batch.history, atol=1e-4, rtol=1e-4)

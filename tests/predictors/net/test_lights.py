@@ -106,7 +106,7 @@ def test_nothing_is_told_where_no_lit_light_is_ahead() -> None:
 def test_a_response_begins_as_nothing() -> None:
     response = LightResponse(LightConfig(hidden=8, features=12)).eval()
     random = torch.Generator().manual_seed(1)
-    features, path = torch.rand(5, 12, generator=random), torch.rand(5, 40, 2, generator=random)
+    features, path = torch.rand(5, 12, generator=random), torch.rand(5, 3, 40, 2, generator=random)
     lights = torch.tensor([[1.0, 0.0, 0.0, 0.5, 0.2, 0.3]]).expand(5, 6)
     assert torch.equal(response(features, path, torch.full((5,), 7.0), lights), path)
 

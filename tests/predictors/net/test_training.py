@@ -11,7 +11,7 @@ import pytest
 import torch
 from dosplan_net.build import load_network
 from dosplan_net.features import HORIZON
-from dosplan_net.network import TrajectoryNetwork, constant_velocity
+from dosplan_net.network import RecurrentNetwork, constant_velocity
 from dosplan_net.training.batches import read_scenes
 from dosplan_net.training.cache import WindowCache
 from dosplan_net.training.optimise import FitSettings
@@ -81,7 +81,7 @@ def test_a_part_that_is_done_is_not_trained_again(window_cache: Path, tmp_path: 
     config = replace(TRAINING, fit=replace(TRAINING.fit, steps=4, validate_every=4))
     lines: list[str] = []
     first = train_stage(NET, config, [window_cache], window_cache, tmp_path, lines.append)
-    assert first.keys() == {"ade", "fde"}
+    assert first.keys() == {"score", "ade", "fde", "at_1", "best_ade", "best_fde"}
     assert len(lines) == 1
     assert lines[0].startswith("net: step 4 ")
     again = train_stage(NET, config, [window_cache], window_cache, tmp_path, lines.append)
@@ -111,8 +111,9 @@ def test_each_recording_is_predicted_by_a_network_not_trained_on_it(
     fitted = [
         load_network(save_network(tmp_path / f"fold-{k}.safetensors", seed=k)) for k in (0, 1)
     ]
-    (labels,) = cross_fitted_trajectories([window_cache], tmp_path)
-    assert labels.shape == (len(cache.pose), HORIZON, 2)
+    (foretold,) = cross_fitted_trajectories([window_cache], tmp_path)
+    labels = foretold.trajectory
+    assert labels.shape == (len(cache.pose), 1, HORIZON, 2)
     for scene in range(0, cache.scenes, 4):
         batch = read_scenes(cache, [scene])
         own = fold[cache.scene_recording[scene]]
@@ -132,10 +133,12 @@ def test_cross_fitted_trajectories_are_not_computed_again(
 ) -> None:
     for k in (0, 1):
         save_network(tmp_path / f"fold-{k}.safetensors", seed=k)
-    (labels,) = cross_fitted_trajectories([window_cache], tmp_path)
+    (first,) = cross_fitted_trajectories([window_cache], tmp_path)
     for k in (0, 1):
         save_network(tmp_path / f"fold-{k}.safetensors", seed=k + 2)
-    np.testing.assert_array_equal(cross_fitted_trajectories([window_cache], tmp_path)[0], labels)
+    (again,) = cross_fitted_trajectories([window_cache], tmp_path)
+    np.testing.assert_array_equal(again.trajectory, first.trajectory)
+    np.testing.assert_array_equal(again.log_weight, first.log_weight)
 
 
 def test_two_caches_of_one_name_keep_answers_of_their_own(
@@ -147,7 +150,7 @@ def test_two_caches_of_one_name_keep_answers_of_their_own(
     for k in (0, 1):
         save_network(tmp_path / f"fold-{k}.safetensors", seed=k)
     cross_fitted_trajectories(caches, tmp_path)
-    assert len(list(tmp_path.glob("cross-fitted-*.npy"))) == 2
+    assert len(list(tmp_path.glob("cross-fitted-*-trajectory.npy"))) == 2
 
 
 def test_without_cross_fitting_it_says_what_is_missing(window_cache: Path, tmp_path: Path) -> None:
@@ -192,7 +195,7 @@ def test_groups_stay_together_and_folds_are_balanced(window_cache: Path) -> None
 def test_displacement_is_the_mean_error_of_those_that_move(window_cache: Path) -> None:
     cache = WindowCache.open(window_cache)
     torch.manual_seed(0)
-    network = TrajectoryNetwork(TINY)
+    network = RecurrentNetwork(TINY)
     with torch.no_grad():  # Constant velocity, exactly.
         network.get_parameter("decoder.2.weight").zero_()
     figures = displacement(network, cache)

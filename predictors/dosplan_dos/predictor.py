@@ -40,7 +40,7 @@ from dosplan_dos.sizes import ConditionalSizes, FixedSizes, GroupSizes, Sizes
 if TYPE_CHECKING:
     from dosplan_net.graphs import Graph
 
-DEFAULT_SETS = "coverage"
+DEFAULT_SETS = "union"
 DEFAULT_SCALE = 0.5
 WEIGHTS: Final = ".safetensors"
 """End of the name of a weight file."""
@@ -64,8 +64,8 @@ class DosSettings(PredictorSettings):
 
     Attributes:
         horizon: Number T of steps to predict, at most 40.
-        sets: Name of a shipped module (``coverage``, ``free``, ``pr`` ...) or a weight file, whose
-            name ends with ``.safetensors``.
+        sets: Name of a shipped module (``union``, ``coverage``, ``free``, ``pr`` ...) or a weight
+            file, whose name ends with ``.safetensors``.
         scale: Factor on the semi-axes, such as the number of standard deviations of ``pr``; by
             default a half, which did best in closed loop on training and validation scenarios:
             sets that cover nine in ten block lanes that are free. Not used with ``coverage``.

@@ -176,7 +176,8 @@ def test_sets_of_dos_grow_in_an_episode_and_a_new_one_begins_as_calibrated() -> 
     states[0, ::2, 1] += 4.0
     scenario = straight_scenario(replace(tracks, states=states))
     fixed, adaptive = (
-        DosPredictor(settings=DosSettings(coverage=0.9, adaptation=rate)) for rate in (0.0, RATE)
+        DosPredictor(settings=DosSettings(sets="coverage", coverage=0.9, adaptation=rate))
+        for rate in (0.0, RATE)
     )
 
     def drive() -> list[FloatArray]:

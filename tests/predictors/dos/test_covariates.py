@@ -99,14 +99,14 @@ def test_training_and_episode_know_the_same(
 
 
 def test_sets_follow_what_is_known() -> None:
-    settings = DosSettings(coverage=0.9, conditional=True)
+    settings = DosSettings(sets="coverage", coverage=0.9, conditional=True)
     predictor = DosPredictor(settings=settings)
     assert isinstance(predictor._sizes, ConditionalSizes)
     encoder = shared_encoder(shipped_weights(), Engine.TORCH, 1, lights=True)
     observation = seen(busy_scenario())
     encoded = encoder.encode(observation)
     factors = predictor._sizes.factors(observation, encoded)
-    by_group = DosPredictor(settings=DosSettings(coverage=0.9))
+    by_group = DosPredictor(settings=replace(settings, conditional=False))
     plain, conditional = by_group.predict(observation), predictor.predict(observation)
     np.testing.assert_array_equal(plain.centre, conditional.centre)
     grown = conditional.semi_axes[encoded.moving, 1::2] / plain.semi_axes[encoded.moving, 1::2]

@@ -16,7 +16,7 @@ from dosplan_dos.calibration import (
     calibration_file,
     load_calibrations,
 )
-from dosplan_dos.predictor import DosPredictor, DosSettings, shipped_sets
+from dosplan_dos.predictor import DEFAULT_SETS, DosPredictor, DosSettings, shipped_sets
 
 from dosplan.evaluation.windows import moments
 from dosplan.plugins.registry import (
@@ -124,7 +124,7 @@ def test_a_run_hands_its_loop_to_the_predictor(tmp_path: Path) -> None:
     config = RunConfig(out=tmp_path, planner="idm", loop="realistic")
     _, predictor, _ = make_plugins(config)
     ideal, realistic = (
-        calibration_file(shipped_sets("coverage"), loop)
+        calibration_file(shipped_sets(DEFAULT_SETS), loop)
         for loop in (CalibratedFor.IDEAL, CalibratedFor.REALISTIC)
     )
     assert {ideal, realistic} <= set(predictor.weight_files())
@@ -134,16 +134,17 @@ def test_a_run_hands_its_loop_to_the_predictor(tmp_path: Path) -> None:
 
 def test_sets_of_the_ideal_loop_are_as_they_were_trained() -> None:
     observation = seen(busy_scenario())
+    one = DosSettings(sets="coverage")
     half, ideal, realistic = (
         DosPredictor(settings=settings).predict(observation)
         for settings in (
-            DosSettings(),
-            DosSettings(calibration=CalibratedFor.IDEAL),
-            DosSettings(calibration=CalibratedFor.REALISTIC),
+            one,
+            replace(one, calibration=CalibratedFor.IDEAL),
+            replace(one, calibration=CalibratedFor.REALISTIC),
         )
     )
     np.testing.assert_array_equal(half.semi_axes, ideal.semi_axes)
-    trained = DosPredictor(settings=DosSettings(scale=1.0)).predict(observation)
+    trained = DosPredictor(settings=replace(one, scale=1.0)).predict(observation)
     np.testing.assert_array_equal(half.semi_axes, 0.5 * trained.semi_axes)
     moving = half.semi_axes[..., 0] > 0.0
     assert np.all(realistic.semi_axes[moving] > half.semi_axes[moving])
@@ -151,7 +152,7 @@ def test_sets_of_the_ideal_loop_are_as_they_were_trained() -> None:
 
 
 def test_the_shipped_calibrations_are_of_the_same_steps_and_modes() -> None:
-    for name in ("coverage", "free"):
+    for name in ("union", "coverage", "free"):
         found = [
             load_calibrations(calibration_file(shipped_sets(name), loop))
             for loop in (CalibratedFor.IDEAL, CalibratedFor.REALISTIC)

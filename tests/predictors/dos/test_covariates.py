@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dosplan_dos.covariates import NAMES, covariates
+from dosplan_dos.covariates import NAMES, covariates, track_noise
 from dosplan_dos.predictor import DosPredictor, DosSettings
 from dosplan_dos.sizes import ConditionalSizes, covariates_of
 from dosplan_dos.training import encode_windows
@@ -18,7 +18,6 @@ from dosplan_net.training.cache import WindowCache
 
 from dosplan.scenario import find_scenarios, load_recording
 from dosplan.scenario.synthetic import busy_scenario, steady_tracks, straight_map, straight_scenario
-from dosplan.simulation.settings import LoopSettings, SensingSettings
 from dosplan.simulation.world import watch
 from dosplan.types import FloatArray, Observation
 from tests.predictors.conftest import CACHED, EVERY
@@ -41,11 +40,13 @@ def column(values: FloatArray, name: str) -> FloatArray:
 
 
 def observed(position: float = 0.0, speed: float = 0.0) -> FloatArray:
-    """Mean over moments of what is known of two cars that are seen with errors of that size."""
-    sensing = SensingSettings(position=position, speed=speed, correlation=0.0)
-    scenario, loop = straight_scenario(TRACKS), LoopSettings(sensing=sensing)
-    moments = [o for o in watch(scenario, 1, loop=loop, seed=3) if o.step >= STEP]
-    return np.asarray(np.mean([known(o) for o in moments], axis=0))
+    """Mean over moments of what is known of two cars whose recording errs by that much."""
+    rng = np.random.default_rng(3)
+    states = np.array(TRACKS.states)
+    states[..., :2] += position * rng.normal(size=states[..., :2].shape)
+    states[..., 3] += speed * rng.normal(size=states[..., 3].shape)
+    scenario = straight_scenario(replace(TRACKS, states=states))
+    return np.asarray(np.mean([known(o) for o in watch(scenario, 1) if o.step >= STEP], axis=0))
 
 
 def test_noise_of_a_track_shows_in_decades_above_a_centimetre() -> None:
@@ -53,6 +54,8 @@ def test_noise_of_a_track_shows_in_decades_above_a_centimetre() -> None:
     for name in ("noise of position, along", "noise of position, across"):
         np.testing.assert_allclose(column(exact, name), 0.0, atol=0.01)
         np.testing.assert_allclose(column(noisy, name), np.log10(0.31) + 2.0, atol=0.15)
+    np.testing.assert_allclose(track_noise(exact), 0.0, atol=1e-3)
+    assert np.all(track_noise(noisy) > 0.2)
     only_speed = observed(speed=0.5)
     np.testing.assert_allclose(column(only_speed, "noise of position, along"), 0.0, atol=0.01)
     assert np.all(column(only_speed, "speed against motion") > 1.0)

@@ -15,7 +15,7 @@ from dosplan.scoring.score import failed_score
 from dosplan.system.files import write_json
 from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
-USABLE = [outcome for outcome in Outcome if outcome is not Outcome.UNUSABLE]
+USABLE = [outcome for outcome in Outcome if outcome.of_planner]
 
 
 def _rows(outcomes: list[Outcome], arm: Arm = Arm.WITH_DOS, velocity: float = 5.0) -> list[Score]:
@@ -102,7 +102,7 @@ def test_pairing_ignores_the_order_and_sides_mirror(
 
 
 def test_what_is_unusable_on_a_side_is_left_out_and_counted() -> None:
-    a = _rows([Outcome.SUCCESS, Outcome.UNUSABLE, Outcome.COLLISION, Outcome.UNUSABLE])
+    a = _rows([Outcome.SUCCESS, Outcome.TRAFFIC_FAILURE, Outcome.COLLISION, Outcome.UNUSABLE])
     b = _rows([Outcome.COLLISION, Outcome.UNUSABLE, Outcome.COLLISION, Outcome.SUCCESS])
     found = compare_rows(a, b)
     assert (found.n, found.unusable) == (2, 2)

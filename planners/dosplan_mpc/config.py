@@ -68,6 +68,7 @@ class GoalSettings:
         turn: Angle by which the path may miss the goal's heading window, rad; the ego turns
             towards it.
         widest_turn: The same where no place beside the path is within ``turn``.
+        least_turn: Up to this angle the price on the heading does, without a way of its own, rad.
         lateral_margin: Distance to the lateral edges at which the ego aims to drive, m.
         common_share: A lateral offset counts where it is inside the region at this share of the
             places at which the best offset is.
@@ -79,6 +80,7 @@ class GoalSettings:
     edge_margin: float = 0.2
     turn: float = 0.3
     widest_turn: float = 2.2
+    least_turn: float = 0.15
     lateral_margin: float = 0.5
     common_share: float = 0.9
 

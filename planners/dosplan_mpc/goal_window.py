@@ -28,7 +28,7 @@ class GoalWindow:
         left: Left edge, m.
         heading: Heading window on the path's turn, rad, or None.
         velocity: Velocity window, m/s, or None.
-        turn: Angle from the path's heading to that window, rad; zero where it is inside.
+        turn: Angle from the path's heading to that window, rad; zero where it is (nearly) inside.
     """
 
     first_step: int
@@ -107,6 +107,7 @@ def _locate(
     along = first + np.flatnonzero(inside[first : last + 1, column])
     begin, end = along[0], along[-1]
     heading = _on_turn_of(rows[begin, PATH_HEADING], goal.heading)
+    aside = 0.0 if heading is None else _turn_to(rows[begin : end + 1, PATH_HEADING], heading)
     return GoalWindow(
         first_step=goal.first_step,
         last_step=goal.last_step,
@@ -117,7 +118,7 @@ def _locate(
         left=left,
         heading=heading,
         velocity=goal.velocity,
-        turn=0.0 if heading is None else _turn_to(rows[begin : end + 1, PATH_HEADING], heading),
+        turn=aside if abs(aside) > settings.least_turn else 0.0,
     )
 
 

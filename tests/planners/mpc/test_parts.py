@@ -289,6 +289,14 @@ def test_goal_with_a_foreign_heading_is_not_on_the_path() -> None:
     assert goals_of(task, path_of(task.route)) == ()
 
 
+def test_a_heading_that_the_path_nearly_has_needs_no_way_of_its_own() -> None:
+    for low, turn in ((0.14, 0.0), (0.16, 0.16)):
+        goal = GoalState(0, 90, box(40.0, -1.5, 46.0, 1.5), heading=(low, 0.7))
+        task = goal_task(goal)
+        (window,) = goals_of(task, path_of(task.route))
+        assert window.turn == pytest.approx(turn)
+
+
 def test_a_goal_that_the_path_misses_by_a_turn_has_a_slower_reference_from_the_other_side() -> None:
     """It begins 8 m before it, at 6 m/s."""
     task = goal_task(GoalState(0, 90, box(40.0, -1.5, 46.0, 1.5), heading=(0.5, 0.7)))

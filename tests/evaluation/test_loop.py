@@ -23,13 +23,17 @@ from dosplan.simulation.world import World, watch
 from dosplan.system.files import read_json
 from dosplan.types import RoadUserKind
 from tests.support.scenes import User, driving, write_scenario_xml
+from tests.support.sensors import leave_unfiltered
 
 SIGMA = 0.5
 NOISY = LoopSettings(sensing=SensingSettings(position=SIGMA, correlation=0.0))
 CIRCLE = Method("circle", "fixed-circle", {"r": 0.8})
 
 
-def test_a_circle_covers_the_share_that_the_noise_of_the_position_leaves() -> None:
+def test_a_circle_covers_the_share_that_the_noise_of_the_position_leaves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    leave_unfiltered(monkeypatch)
     # The predicted centre is off by the plane normal error of the present one, at every horizon.
     steady = [[12.0 * k, 40.0 * k, 0.0, 5.0] for k in range(40)]
     scenario = straight_scenario(steady_tracks(steady, steps=90))

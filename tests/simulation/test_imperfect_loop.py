@@ -52,7 +52,6 @@ from dosplan.types import (
     Arm,
     EpisodeEnd,
     FloatArray,
-    IntArray,
     Observation,
     Occupancy,
     Plan,
@@ -62,6 +61,7 @@ from dosplan.types import (
     Scenario,
 )
 from dosplan.vehicle import VehicleParameters
+from tests.support.sensors import leave_unfiltered
 from tests.support.traffic import ShyTraffic
 
 LATE = LoopSettings(latency=0.3)
@@ -275,18 +275,12 @@ def test_errors_have_the_deviation_and_the_correlation_that_are_set() -> None:
     assert abs(np.mean(process[..., 0] * process[..., 1])) < 0.02
 
 
-class Unfiltered(Sensors):
-    """Shows what is measured."""
-
-    def _filtered(self, step: int, rows: IntArray, measured: FloatArray) -> FloatArray:
-        return measured
-
-
-def test_what_is_measured_errs_as_set() -> None:
+def test_what_is_measured_errs_as_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    leave_unfiltered(monkeypatch)
     sensing = SensingSettings(position=0.2, speed=0.3, heading=0.05, size=0.1, correlation=0.2)
     first = [[0.0, 0.0, 0.3, 5.0]] * 200
     tracks = steady_tracks(first, steps=120)
-    sensors = Unfiltered(sensing, 0.1, 120, scenario="noise")
+    sensors = Sensors(sensing, 0.1, 120, scenario="noise")
     sizes = []
     for step in range(120):
         sensors.look(step, np.zeros(2), users_at(tracks, step))
@@ -376,7 +370,7 @@ def test_errors_do_not_depend_on_the_traffic_nor_on_who_came_before(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The shy traffic has its road users elsewhere, and one more from the third step on."""
-    monkeypatch.setattr(Sensors, "_filtered", Unfiltered._filtered)
+    leave_unfiltered(monkeypatch)
     scenario = busy_scenario()
     one, other = drive(NOISY, scenario), drive(NOISY, scenario, traffic=ShyTraffic())
     first = _errors_seen(scenario, one, one.tracks)

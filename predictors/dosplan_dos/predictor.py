@@ -41,7 +41,8 @@ if TYPE_CHECKING:
     from dosplan_net.graphs import Graph
 
 DEFAULT_SETS = "union"
-DEFAULT_SCALE = 0.5
+DEFAULT_COVERAGE: Final = 0.8
+"""Share of the true centres that the sets cover, in every loop, where nothing else is asked for."""
 WEIGHTS: Final = ".safetensors"
 """End of the name of a weight file."""
 
@@ -66,11 +67,11 @@ class DosSettings(PredictorSettings):
         horizon: Number T of steps to predict, at most 40.
         sets: Name of a shipped module (``union``, ``coverage``, ``free``, ``pr`` ...) or a weight
             file, whose name ends with ``.safetensors``.
-        scale: Factor on the semi-axes, such as the number of standard deviations of ``pr``; by
-            default a half, which did best in closed loop on training and validation scenarios:
-            sets that cover nine in ten block lanes that are free. Not used with ``coverage``.
-        coverage: Share of the true centres that the sets are to cover, in (0, 1), in place of
-            ``scale``; the sets are calibrated on recordings for it.
+        scale: Factor on the semi-axes that were trained, such as the number of standard deviations
+            of ``pr``, in place of a coverage; a module that has no calibration has 1 by default.
+        coverage: Share of the true centres that the sets are to cover at each step, in (0, 1); the
+            sets are calibrated on recordings for it. By default ``DEFAULT_COVERAGE``, which was
+            chosen in closed loop on training and validation scenarios, unless there is a scale.
         calibration: The loop that the sets are calibrated for: ``ideal``, where road users are
             seen exactly, or ``realistic``, as its sensors see them. A ``scale`` then stands for
             the coverage that it has in the ideal loop, so that the sets know of the errors of
@@ -95,7 +96,7 @@ class DosSettings(PredictorSettings):
     """
 
     sets: str = DEFAULT_SETS
-    scale: float = DEFAULT_SCALE
+    scale: float | None = None
     coverage: float | None = None
     calibration: CalibratedFor = CalibratedFor.AUTO
     conditional: bool = False
@@ -110,15 +111,15 @@ class DosSettings(PredictorSettings):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_horizon(self.horizon)
-        if self.coverage is not None and self.scale != DEFAULT_SCALE:
+        if self.coverage is not None and self.scale is not None:
             raise ValueError("give a scale or a coverage, not both")
-        if self.scale < 0.0:
+        if self.scale is not None and self.scale < 0.0:
             raise ValueError(f"scale is {self.scale}, expected 0 or more")
         if not 0.0 <= self.adaptation <= 1.0:
             raise ValueError(f"adaptation is {self.adaptation}, expected 0 to 1")
         for name in ("conditional", "adaptation"):
-            if getattr(self, name) and self.coverage is None:
-                raise ValueError(f"{name} goes with a coverage only")
+            if getattr(self, name) and self.scale is not None:
+                raise ValueError(f"{name} goes with a coverage, not with a scale")
         if self.coverage is not None and not 0.0 < self.coverage < 1.0:
             raise ValueError(f"coverage is {self.coverage}, expected a share between 0 and 1")
         if self.base is not None:
@@ -137,6 +138,15 @@ class DosSettings(PredictorSettings):
             ValueError: There is no shipped module of that name.
         """
         return Path(self.sets) if self.sets.endswith(WEIGHTS) else shipped_sets(self.sets)
+
+    @property
+    def level(self) -> float | None:
+        """The coverage that the sets are calibrated to; None where they have a scale."""
+        if self.coverage is not None or self.scale is not None:
+            return self.coverage
+        there = calibration_file(self.sets_file, CalibratedFor.IDEAL).is_file()
+        asked = there or self.conditional or self.adaptation > 0.0
+        return DEFAULT_COVERAGE if asked else None
 
     def seen_by(self, *, exact: bool) -> Self:
         """Chooses the calibration that is left to the loop."""
@@ -187,7 +197,7 @@ class DosPredictor(Predictor):
         self.base: Predictor = (settings.base or own).build(seed)
         network, sets = settings.network or shipped_weights(), settings.sets_file
         self._sizes, calibrations = _sizes(settings)
-        self._rate, self._coverage = settings.adaptation, settings.coverage
+        self._rate, self._coverage = settings.adaptation, settings.level
         self._adaptation = self._new_adaptation()
         self._files = (network, sets, *calibrations)
         self._module = shared_module(sets, settings.engine, settings.threads)
@@ -372,19 +382,20 @@ def _sizes(settings: DosSettings) -> tuple[Sizes, tuple[Path, ...]]:
     sets, loop = settings.sets_file, settings.calibration
     if loop is CalibratedFor.AUTO:
         loop = CalibratedFor.IDEAL
-    if (level := settings.coverage) is not None:
+    if (level := settings.level) is not None:
         mode = Mode.SIMULTANEOUS if settings.simultaneous else Mode.PER_STEP
         made = shipped_calibration(sets, mode, loop, settings.conditional)
         # A level that is too high is refused here, not in the first episode.
         table = made.table(level)
         sizes = ConditionalSizes(made, level) if settings.conditional else GroupSizes(table)
         return sizes, (calibration_file(sets, loop),)
+    scale = 1.0 if settings.scale is None else settings.scale
     if loop is CalibratedFor.IDEAL:
-        return FixedSizes(settings.scale), ()
+        return FixedSizes(scale), ()
     loops = (loop, CalibratedFor.IDEAL)
     own, ideal = (shipped_calibration(sets, Mode.PER_STEP, of) for of in loops)
     files = tuple(calibration_file(sets, of) for of in loops)
-    return GroupSizes(own.table_like(ideal, settings.scale)), files
+    return GroupSizes(own.table_like(ideal, scale)), files
 
 
 def shipped_sets(name: str) -> Path:

@@ -85,8 +85,8 @@ def test_scale_is_a_factor_on_the_axes(settings: DosSettings) -> None:
     observation = seen(busy_scenario())
     one = predict(settings, observation)
     twice = predict(replace(settings, scale=2.0), observation)
-    # Driving takes half the axes that were trained.
-    np.testing.assert_allclose(twice.semi_axes, 4.0 * one.semi_axes)
+    # Those of a module that is not calibrated are as they were trained.
+    np.testing.assert_allclose(twice.semi_axes, 2.0 * one.semi_axes)
     np.testing.assert_array_equal(twice.angle, one.angle)
 
 
@@ -134,8 +134,8 @@ def test_a_shorter_horizon_is_the_beginning(settings: DosSettings, horizon: int)
         ({"scale": -1.0}, "scale is -1.0, expected 0 or more"),
         ({"coverage": 1.5}, "coverage is 1.5, expected a share between 0 and 1"),
         ({"coverage": 0.0}, "coverage is 0.0, expected a share between 0 and 1"),
-        ({"conditional": True}, "conditional goes with a coverage only"),
-        ({"adaptation": 0.2}, "adaptation goes with a coverage only"),
+        ({"conditional": True, "scale": 1.0}, "conditional goes with a coverage, not with a scale"),
+        ({"adaptation": 0.2, "scale": 1.0}, "adaptation goes with a coverage, not with a scale"),
         ({"adaptation": 2.0, "coverage": 0.9}, "adaptation is 2.0, expected 0 to 1"),
         ({"horizon": 41}, "horizon is 41, expected 40 or less"),
         ({"horizon": 0}, "horizon is 0, expected 1 or more"),
@@ -154,6 +154,8 @@ def test_settings_that_cannot_work_are_refused(change: dict[str, Any], message: 
 
 
 def test_what_is_missing_is_refused_when_it_is_built(settings: DosSettings) -> None:
+    with pytest.raises(ValueError, match="never calibrated"):
+        DosPredictor(settings=replace(settings, adaptation=0.2))
     with pytest.raises(ValueError, match="never calibrated"):
         DosPredictor(settings=replace(settings, coverage=0.9))
     with pytest.raises(ValueError, match="there are no sets called 'absent'"):

@@ -55,7 +55,6 @@ _SINGLE: Final = (
     ("DOS coverage, calibrated at 90 %", "DOS, calibrated at 90 %", "P"),
     ("DOS coverage, calibrated at 90 % over 4 s", "the same, over all steps at once", "X"),
     ("DOS coverage, as driven (half axes)", "DOS, coverage loss, half axes", "p"),
-    ("DOS coverage on constant velocity", "the same loss on constant velocity", "h"),
 )
 
 

@@ -239,7 +239,7 @@ def test_representations_are_what_the_shipped_weights_predict(published: Publish
     panels = figure.axes[: len(representations.METHODS)]
     for axes, (title, options) in zip(panels, representations.METHODS.items(), strict=True):
         assert axes.get_title() == title
-        sets = representations.predicted_sets(scenario, options)
+        sets, _, _ = representations.predicted_sets(scenario, options).by_component()
         shown = np.zeros_like(sets.valid)
         shown[:, representations.SHOWN] = sets.valid[:, representations.SHOWN]
         shown &= (sets.semi_axes > 0.0).all(axis=-1)

@@ -45,6 +45,7 @@ _SCALED: Final = (
     ("circle v2 z=", "circle v2, z = {}", style.ORANGE, "D"),
 )
 # Single settings: label, what the legend says, marker.
+# Of these, an evaluation may lack some.
 _SINGLE: Final = (
     ("DOS circle", "DOS circle", "o"),
     ("DOS ellipse theta=0", r"DOS ellipse, $\theta$ = 0", "s"),
@@ -55,6 +56,11 @@ _SINGLE: Final = (
     ("DOS coverage, calibrated at 90 %", "DOS, calibrated at 90 %", "P"),
     ("DOS coverage, calibrated at 90 % over 4 s", "the same, over all steps at once", "X"),
     ("DOS coverage, as driven (half axes)", "DOS, coverage loss, half axes", "p"),
+    ("DOS coverage on constant velocity", "the same loss on constant velocity", "h"),
+    ("DOS union", "DOS, union of three", "1"),
+    ("DOS union, calibrated at 90 %", "the union, calibrated at 90 %", "2"),
+    ("DOS union, calibrated at 90 % over 4 s", "the same, over all steps at once", "3"),
+    ("DOS union, as driven (half axes)", "the union, half axes", "4"),
 )
 
 
@@ -79,6 +85,8 @@ def draw(published: Published) -> Figure:
         for curve in lines:
             _points(axes, evaluation, curve.labels, h, label=curve.title, **curve.look)
         for label, title, marker in _SINGLE:
+            if label not in evaluation.options:
+                continue
             look = {"markerfacecolor": "none", "linestyle": "none", "color": style.BLUE}
             size = {"markersize": 4 if marker in "osD^v" else 6}
             _points(axes, evaluation, (label,), h, label=title, marker=marker, **look, **size)

@@ -1,4 +1,4 @@
-"""``dos-v2``: dynamic occupancy sets around the trajectories of any predictor."""
+"""``dos-v3``: dynamic occupancy sets around the trajectories of any predictor."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ class DosPredictor(Predictor):
     measured with ``dosplan evaluate``. Parked and static road users keep sets of zero.
     """
 
-    name = "dos-v2"
+    name = "dos-v3"
     settings = DosSettings
 
     def __init__(self, *, seed: int = 0, settings: DosSettings = DosSettings()) -> None:

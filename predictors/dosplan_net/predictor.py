@@ -1,4 +1,4 @@
-"""``net-v2``: the trained trajectory network as a predictor. Its sets are points."""
+"""``net-v3``: the trained trajectory network as a predictor. Its sets are points."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class NetSettings(PredictorSettings):
 class NetPredictor(Predictor):
     """Trajectories of the trained network; parked and static road users stay where they are."""
 
-    name = "net-v2"
+    name = "net-v3"
     settings = NetSettings
 
     def __init__(self, *, seed: int = 0, settings: NetSettings = NetSettings()) -> None:

@@ -46,9 +46,11 @@ Definitions
 - **Velocity**: mean ego speed over the steps driven, m/s, averaged over scenarios. Progress,
   comfort, time-to-collision, cycle time p50/p99 beside it.
 - **CR_t** share of road users whose true centre at horizon t lies inside the set; **OSA_t** mean
-  area, m2, pi/4 · l · w with l, w the full axes; at 1, 2, 3, 4 s; masked where the recording ends.
+  area, m2, pi/4 · l · w with l, w the full axes, and of a union of ellipses what they cover
+  together; at 1, 2, 3, 4 s; masked where the recording ends.
   Beside them `OSA@90`: area when each method's sets are scaled by one factor per horizon to cover
-  exactly 90 % on validation data: the fair comparison.
+  exactly 90 % on validation data: the fair comparison. ADE and FDE are of the most likely
+  component; `min_ade` and `min_fde` of the best one.
 - Scoring never uses the planner's own ellipses or discs; the planner never sees what scoring uses.
 
 The drive that is scored

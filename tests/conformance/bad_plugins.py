@@ -139,9 +139,8 @@ class Reorders(ConstantVelocityPredictor):
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         plain = super().compute_occupancy(observation)
-        backwards: dict[str, FloatArray] = {
-            field: getattr(plain, field)[::-1] for field in plain.__dataclass_fields__
-        }
+        arrays = [field for field in plain.__dataclass_fields__ if field != "union"]
+        backwards: dict[str, FloatArray] = {field: getattr(plain, field)[::-1] for field in arrays}
         return Occupancy(**backwards)  # type: ignore[arg-type]
 
 

@@ -178,7 +178,7 @@ class MpcEpisode:
         self._decisions = Decisions(
             StopRules(task, config.stops),
             PassingDecision(config.passing, self._path, task.route, vehicle, self._half_width),
-            GapDecision(config.gap, self._path, task.route, road_map, vehicle, task.dt),
+            GapDecision(config.gap, self._path, task.route, road_map, windows, vehicle, task.dt),
             0.5 * vehicle.length,
         )
         self._road = Road(road_map, self._path, vehicle, self._half_width)

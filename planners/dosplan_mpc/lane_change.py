@@ -32,6 +32,7 @@ from dosplan.types import (
 )
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import GapSettings
+from dosplan_mpc.goal_window import GoalWindow
 from dosplan_mpc.reference import EgoOnPath
 from dosplan_mpc.speed_profile import SpeedProfile
 
@@ -263,6 +264,7 @@ class GapDecision:
         path: EvenPath,
         route: Route,
         road_map: RoadMap,
+        windows: Sequence[GoalWindow],
         vehicle: VehicleParameters,
         dt: float,
     ) -> None:
@@ -273,6 +275,7 @@ class GapDecision:
             path: Reference path.
             route: The route.
             road_map: The map.
+            windows: Goals along the path; a gap in which the ego comes too late for one is none.
             vehicle: The ego.
             dt: Step, s.
         """
@@ -281,6 +284,7 @@ class GapDecision:
         self._vehicle = vehicle
         self._dt = dt
         self._changes = lane_changes(route, road_map, path)
+        self._windows = tuple(windows)
         self._time = np.arange(0.0, settings.ahead + 0.5 * _STEP, _STEP)
         self._kept: Gap | None = None
         self._through: LaneChange | None = None  # The last one that a gap was taken for.
@@ -504,6 +508,8 @@ class GapDecision:
         out = []
         for i in range(count):
             entry = self._entry(inside[i], span)
+            if not self._in_time(ego, place[i], velocity[i], wanted):
+                entry = np.inf
             out.append(
                 Gap(
                     behind=int(users.ids[i]) if i < count - 1 else None,
@@ -532,6 +538,20 @@ class GapDecision:
         span = max(round(seconds / _STEP), 1)
         held = np.convolve(inside, np.ones(span), mode="valid") > span - 0.5
         return float(self._time[int(np.argmax(held))]) if held.any() else np.inf
+
+    def _in_time(
+        self, ego: EgoOnPath, place: FloatArray, velocity: FloatArray, wanted: float
+    ) -> bool:
+        """Whether a drive comes to the next goal before its deadline, if the way without does."""
+        goal = next((w for w in self._windows if w.last_step >= ego.step), None)
+        if goal is None:
+            return True
+        left = self._dt * (goal.last_step - ego.step)
+        if ego.position + wanted * left < goal.begin:
+            return True
+        later = max(left - float(self._time[-1]), 0.0)
+        reached = float(np.interp(left, self._time, place)) + later * float(velocity[-1])
+        return reached >= goal.begin
 
     def _cost(self, entry: float, place: FloatArray, velocity: FloatArray, wanted: float) -> float:
         """What a drive costs: the time until the change, the way that is lost, and comfort."""

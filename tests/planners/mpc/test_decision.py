@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dosplan_mpc.config import GapSettings, MpcConfig
+from dosplan_mpc.goal_window import GoalWindow
 from dosplan_mpc.lane_change import Gap, GapDecision, lane_changes
 from dosplan_mpc.planner import MpcPlanner
 from dosplan_mpc.reference import EgoOnPath, aligned_path
@@ -83,7 +84,9 @@ def test_the_one_gap_of_a_column_is_taken_and_kept(tmp_path: Path, left: bool) -
 class Decider:
     """A decision for a gap on a straight road, cycle by cycle, with the ego where it is put."""
 
-    def __init__(self, folder: Path, settings: GapSettings = DEFAULT) -> None:
+    def __init__(
+        self, folder: Path, settings: GapSettings = DEFAULT, windows: Sequence[GoalWindow] = ()
+    ) -> None:
         self.scenario = column_scene(folder, 8.0, [0.0], 100.0, left=True)
         self.path = aligned_path(self.scenario.task, MpcConfig().path)
         self.decision = GapDecision(
@@ -91,6 +94,7 @@ class Decider:
             self.path,
             self.scenario.task.route,
             self.scenario.road_map,
+            windows,
             VehicleParameters(),
             0.1,
         )
@@ -179,3 +183,17 @@ def test_a_gap_is_given_up_when_it_closes(tmp_path: Path) -> None:
     other = decider.decide([-6.0, 1.5, 20.0])
     assert other is not None
     assert (other.behind, other.front) == (3, 2)
+
+
+def test_a_gap_in_which_the_goal_is_missed_is_passed_over(tmp_path: Path) -> None:
+    # To drop back behind all of them costs least, and some metres of way.
+    places = [0.5, 14.0, 28.0]
+    anytime = Decider(tmp_path).decide(places)
+    assert anytime is not None
+    assert anytime.front is None
+    start = float(Decider(tmp_path).path.locate(np.array([120.0, 0.0])))
+    begin = start + 8.0 * 8.0 - 2.0  # The ego is there in 8 s if it loses no more than 2 m.
+    goal = GoalWindow(0, 80, begin, begin + 10.0, 0.0, -1.0, 1.0, None, None)
+    in_time = Decider(tmp_path, windows=[goal]).decide(places)
+    assert in_time is not None
+    assert (in_time.behind, in_time.front) == (2, 1)

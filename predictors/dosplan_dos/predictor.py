@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from dosplan_net.graphs import Graph
 
 DEFAULT_SETS = "union"
-DEFAULT_COVERAGE: Final = 0.8
+DEFAULT_COVERAGE: Final = 0.7
 """Share of the true centres that the sets cover, in every loop, where nothing else is asked for."""
 WEIGHTS: Final = ".safetensors"
 """End of the name of a weight file."""

@@ -65,7 +65,7 @@ class Recording:
         traffic: Name of the traffic.
         tracks: The road users as they were driven; None where that is as recorded.
         end: Why the simulation stopped.
-        error: What went wrong in a planner failure, or None.
+        error: What went wrong, where ``end`` is a failure; None otherwise.
         cycle_steps: (C,) step at which each plan begins; that of what the ego saw is earlier by
             the loop's latency.
         predict_seconds: (C,) time of each prediction, s.

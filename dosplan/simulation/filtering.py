@@ -18,7 +18,14 @@ import numpy as np
 
 from dosplan.geometry import wrap_angle
 from dosplan.simulation.settings import SensingSettings
-from dosplan.types import USER_SIZE, USER_VELOCITY, BoolArray, FloatArray, IntArray
+from dosplan.types import (
+    USER_HEADING,
+    USER_SIZE,
+    USER_VELOCITY,
+    BoolArray,
+    FloatArray,
+    IntArray,
+)
 
 # States of the filter: those of a road user, its acceleration, curvature, and the four errors.
 _ACCELERATION: Final = USER_SIZE
@@ -95,13 +102,13 @@ class TrackFilter:
         self._stand(rows[(np.abs(self._speed[rows]) < _STANDING) & self._moves[rows]])
         return self._mean[rows, :USER_SIZE]
 
-    def forget(self, rows: BoolArray) -> None:
+    def forget(self, lost: BoolArray) -> None:
         """Begins anew with some of them when they are seen again.
 
         Args:
-            rows: (N,) who has been lost for too long.
+            lost: (N,) who has been lost for too long.
         """
-        self._begun[rows] = False
+        self._begun[lost] = False
 
     def _begin(self, rows: IntArray, measured: FloatArray) -> None:
         """What is known at first: a state is as measured, less an error that is not known."""
@@ -120,7 +127,7 @@ class TrackFilter:
 
     def _predict(self, rows: IntArray) -> None:
         dt, before = self._dt, self._mean[rows]
-        heading, velocity = before[:, 2], before[:, USER_VELOCITY]
+        heading, velocity = before[:, USER_HEADING], before[:, USER_VELOCITY]
         acceleration, curvature = before[:, _ACCELERATION], before[:, _CURVATURE]
         stops = velocity * (velocity + dt * acceleration) < 0.0
         acceleration = np.where(stops, -velocity / dt, acceleration)  # Nobody brakes backwards.
@@ -131,7 +138,7 @@ class TrackFilter:
         after = np.array(before)
         after[:, 0] += way * cos
         after[:, 1] += way * sin
-        after[:, 2] += curvature * way
+        after[:, USER_HEADING] += curvature * way
         after[:, USER_VELOCITY] += acceleration * dt
         after[:, _ACCELERATION] = np.where(stops, 0.0, self._acceleration_kept * acceleration)
         after[:, _CURVATURE] *= self._curvature_kept
@@ -140,15 +147,15 @@ class TrackFilter:
 
         step = np.tile(np.eye(_STATES), (len(rows), 1, 1))
         for column, by_way, by_course in (
-            (2, 0.0, 1.0),
+            (USER_HEADING, 0.0, 1.0),
             (USER_VELOCITY, dt, 0.5 * curvature * dt),
             (_ACCELERATION, 0.5 * dt**2, 0.25 * curvature * dt**2),
             (_CURVATURE, 0.0, 0.5 * way),
         ):
             step[:, 0, column] = by_way * cos - way * sin * by_course
             step[:, 1, column] = by_way * sin + way * cos * by_course
-            if column != 2:
-                step[:, 2, column] = 2.0 * by_course
+            if column != USER_HEADING:
+                step[:, USER_HEADING, column] = 2.0 * by_course
         step[:, USER_VELOCITY, _ACCELERATION] = dt
         step[:, _ACCELERATION, _ACCELERATION] = self._acceleration_kept
         step[:, _CURVATURE, _CURVATURE] = self._curvature_kept
@@ -173,7 +180,7 @@ class TrackFilter:
     def _update(self, rows: IntArray, measured: FloatArray) -> None:
         mean, spread = self._mean[rows], self._spread[rows]
         surprise = measured - mean[:, :USER_SIZE] - mean[:, _ERRORS:]
-        surprise[:, 2] = wrap_angle(surprise[:, 2])
+        surprise[:, USER_HEADING] = wrap_angle(surprise[:, USER_HEADING])
         seen = spread[:, :USER_SIZE] + spread[:, _ERRORS:]  # (M, 4, 10) of what is measured.
         expected = seen[:, :, :USER_SIZE] + seen[:, :, _ERRORS:] + _ROUNDING * np.eye(USER_SIZE)
         gain = np.linalg.solve(expected, seen).transpose(0, 2, 1)

@@ -102,7 +102,8 @@ def run_episode(
 
     Returns:
         The episode. A plug-in's exception is in ``Episode.error`` as one line
-        ``"planner NAME: ExceptionType: message (file:line)"``; it is never raised.
+        ``"planner NAME: ExceptionType: message (file:line)"``, or ``predictor`` or ``traffic``; it
+        is never raised.
     """
     traffic = Replay() if traffic is None else traffic
     log: list[_Cycle] = []

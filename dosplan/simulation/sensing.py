@@ -3,6 +3,7 @@
 The random part of what is seen of a road user at a step depends on nothing but the seed, the
 scenario, the future, the road user and the step. So both arms, all planners and all traffics meet
 the same errors and the same gaps; whether it is in reach and in sight depends on where they are.
+What is measured with errors is shown as a filter estimates it (``filtering``).
 """
 
 from __future__ import annotations

@@ -96,7 +96,7 @@ class Arrivals:
         step: int,
         start: FloatArray,
         sets: ForbiddenSets,
-        fastest: float = np.inf,
+        fastest: float,
     ) -> Arrival | None:
         """A drive that meets a goal, where the plan does not and has not the time to.
 

@@ -188,7 +188,7 @@ class SetSettings:
     """Settings of the forbidden sets (``obstacles``).
 
     Attributes:
-        watched: Number of road users whose sets are widened.
+        watched: Number of road users whose sets are looked at, the nearest ones.
         relevant: Normalised distance to the guess within which a set needs a slot at a step.
         tail: Length that a follower's set is given to its rear, m.
         release_seconds: Time after which a set that holds the ego now counts in full, s.
@@ -303,7 +303,7 @@ class GapSettings:
         reach: Distance from the ego within which others count, m.
         alignment: Cosine of the largest angle to the path of somebody on a lane along it.
         arrived: Distance from the middle of the lane from which on the change is done, m.
-        known: Time up to which sets count as they are; later they count as they are then, s.
+        known: Time up to which sets grow, s; later ones are taken as large as at that time.
         clearance: Distance that is kept from others along the path, m.
         beside: Room beside what blocks the own lane, m.
         headway: Time that is kept from who is ahead in the gap, s.

@@ -239,7 +239,7 @@ class Decisions:
         ego: EgoOnPath,
         profile: SpeedProfile,
     ) -> Decision:
-        """Adds the gap into which the ego changes lanes, where it does and does not stop before.
+        """Adds the gap into which the ego changes lanes, where nothing else was decided.
 
         Args:
             decision: What was decided about stops.

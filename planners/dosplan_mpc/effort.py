@@ -17,11 +17,7 @@ _KEPT: Final = 0.9  # Of the longest solve so far in a later cycle: a slow momen
 
 
 class Effort:
-    """The bounds of an episode's cycles.
-
-    Attributes:
-        struck: Whether the deadline has cut something short in this cycle.
-    """
+    """The bounds of an episode's cycles."""
 
     def __init__(self, config: MpcConfig) -> None:
         """Takes the bounds.
@@ -29,7 +25,7 @@ class Effort:
         Args:
             config: Settings.
         """
-        self.struck = False
+        self._struck = False  # Whether the deadline has cut something short in this cycle.
         self._deadline = math.inf if config.deadline is None else config.deadline
         self._most = config.cycle_iterations
         self._iterations = 0
@@ -38,7 +34,7 @@ class Effort:
 
     def begin(self) -> None:
         """Begins a cycle."""
-        self.struck = False
+        self._struck = False
         self._iterations = 0
         self._longest *= _KEPT
         self._until = time.perf_counter() + self._deadline
@@ -53,8 +49,8 @@ class Effort:
         Args:
             seconds: For how long, s.
         """
-        self.struck |= time.perf_counter() + seconds > self._until
-        return not self.struck
+        self._struck |= time.perf_counter() + seconds > self._until
+        return not self._struck
 
     def spend(self, solution: Solution) -> None:
         """Counts a solve.

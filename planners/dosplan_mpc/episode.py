@@ -66,7 +66,7 @@ class _LastCycle:
         step: Its step.
         guess: What it planned.
         slack: Largest slack of a set.
-        cycles: Number of cycles since the plan was last replaced by another one.
+        cycles: Number of cycles in a row that ended with a plan to go on from.
         line: Arc length of the line that the ego waited for, m, or None.
     """
 
@@ -86,8 +86,8 @@ class _Scene:
         ego: The same relative to the path.
         profile: Reference of the next steps.
         sets: Forbidden sets of the road users nearby.
-        decision: What was decided before.
-        barrier: The set behind that line, or None.
+        decision: What was decided before the plan is optimised.
+        barrier: The set behind the line before which the ego has to stop, or None.
     """
 
     start: FloatArray

@@ -63,13 +63,13 @@ def locate_goal(
         window = _locate(goal, goal.region, path, settings, turn)
         if window is not None:
             return replace(window, end=max(min(window.end, farthest), window.begin))
-    return _why_not(goal, goal.region, path)
+    return _why_not(goal, goal.region, path, settings.lateral_reach)
 
 
-def _why_not(goal: GoalState, region: shapely.Geometry, path: EvenPath) -> str:
-    """Why a goal has no window."""
+def _why_not(goal: GoalState, region: shapely.Geometry, path: EvenPath, reach: float) -> str:
+    """Why a goal has no window: it is too far from the path, or else heads elsewhere."""
     away = float(shapely.distance(shapely.LineString(path.points), region))
-    if away > 0.0 or goal.heading is None:
+    if away > reach or goal.heading is None:
         return f"its region is {away:.1f} m beside the route"
     along = path.locate(np.array(region.centroid.coords[0]))
     low, high = goal.heading

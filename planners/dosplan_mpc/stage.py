@@ -225,7 +225,7 @@ def input_stage(config: MpcConfig, vehicle: VehicleParameters, dt: float) -> Any
     Args:
         config: Settings.
         vehicle: The ego.
-        dt: Step, s.
+        dt: Time to the next stage, s.
 
     Returns:
         A CasADi function of state (6) and input (2): next state (6), cost, limits as ``h >= 0``.

@@ -48,7 +48,7 @@ except ImportError as error:
     raise ImportError(f"{error}; {INSTALL}") from error
 
 
-OVER_LINE: Final = "over the line"
+_OVER_LINE: Final = "over the line"
 _MOVES: Final = 1e-6  # m/s
 
 
@@ -142,7 +142,7 @@ class CommonRoadReactivePlanner(Peer):
             if found is None:
                 # Its samples brake by 3 m/s at most, which may be too little for a wall: that is
                 # no reason to give up, but one to brake as it can.
-                found, fallback = self._search(observation, checker, *given), OVER_LINE
+                found, fallback = self._search(observation, checker, *given), _OVER_LINE
         if found is None:
             raise NoPlanError("no sampled trajectory is feasible and free of collisions")
         states = found[0].state_list

@@ -102,4 +102,5 @@ def test_sets_that_fork_are_planned_with() -> None:
     planner.reset(scenario.task, scenario.road_map, scenario.task.vehicle)
     seen = World(scenario).observation()
     plan = planner.plan(seen, forking_sets(seen))
+    assert not plan.report.status.failed
     assert set(plan.report.active_ids) <= set(seen.ids.tolist())

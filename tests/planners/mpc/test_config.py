@@ -8,10 +8,13 @@ from typing import Any
 
 import pytest
 from dosplan_mpc.config import (
+    ArrivalSettings,
+    BarrierSettings,
     ComfortSettings,
     GapSettings,
     GoalSettings,
     MpcConfig,
+    PassingSettings,
     PathSettings,
     SamplerSettings,
     SetSettings,
@@ -23,9 +26,12 @@ from dosplan_mpc.config import (
 PARTS = (
     MpcConfig(),
     Style(lateral=4.0, longitudinal=2.5),
+    ArrivalSettings(),
+    BarrierSettings(),
     ComfortSettings(),
     GapSettings(),
     GoalSettings(),
+    PassingSettings(),
     PathSettings(),
     SamplerSettings(),
     SetSettings(),

@@ -51,6 +51,8 @@ def test_a_goal_ahead_is_none_of_them() -> None:
         (GoalState(0, 12, velocity=(15.0, 16.0)), "2.7 m/s too far off for 0.2 s"),
         (GoalState(0, 90, region=region(20.0, 30.0)), "28.5 m beside the route"),
         (GoalState(0, 90, region=region(20.0), heading=(2.9, 3.1)), "166 degrees off the route"),
+        # Beside the path, where the ego could go: what is missing is the heading.
+        (GoalState(0, 90, region=region(20.0, 4.0), heading=(2.9, 3.1)), "166 degrees off the"),
     ],
 )
 def test_what_is_missing_is_said(goal: GoalState, words: str) -> None:

@@ -1,7 +1,8 @@
 """What is kept of each window: the few numbers from which all figures are computed.
 
-A window costs 37 bytes per method (144 more where sets are unions) and some 170 per trajectory, so
-that 30 methods on 100 000 windows stay well below a gigabyte. Methods that stand on the same
+A window costs 36 bytes per method (144 more where sets are unions) and some 160 per trajectory
+(350 where there are three or more components), so that 30 methods on 100 000 windows stay well
+below a gigabyte. Methods that stand on the same
 trajectories share them: they are recognised by the predicted centres, whatever the methods are
 called.
 """

@@ -130,9 +130,9 @@ def struck_distance(drive: Drive, compared: Comparisons) -> float | None:
         compared: Its comparisons.
 
     Returns:
-        The normalised distance at the step of the contact; where no plan was made exactly half a
-        second before it, at the last step before that there was one for. None where nobody was
-        struck, or whoever it was had no set.
+        The normalised distance at the step of the contact. Where no plan was made exactly half a
+        second before the contact, the latest plan before that counts, and the distance is that at
+        half a second after it. None where nobody was struck, or whoever it was had no set.
     """
     step, struck = drive.row.collision_step, drive.row.collision_with
     if step is None or struck is None:

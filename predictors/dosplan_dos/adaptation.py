@@ -61,7 +61,7 @@ class Adaptation:
         """Begins an episode.
 
         Args:
-            rate: How fast sets grow, of their logarithm at a step at which all of them failed.
+            rate: How fast sets grow, see the top of the module.
             coverage: Share that is to be inside.
         """
         self._rate = rate
@@ -82,9 +82,9 @@ class Adaptation:
         ids = observation.ids.tolist()
         if self._step is None or observation.step > self._step:
             missed = self._missed(observation)
-            for name in np.flatnonzero(np.isfinite(missed)):
-                g = self._growth[ids[name]] + self._rate * (missed[name] - self._alpha)
-                self._growth[ids[name]] = max(float(g), 0.0)
+            for row in np.flatnonzero(np.isfinite(missed)):
+                g = self._growth[ids[row]] + self._rate * (missed[row] - self._alpha)
+                self._growth[ids[row]] = max(float(g), 0.0)
             known = [self._growth[name] for name in ids if name in self._growth]
             prior = float(np.mean(known)) if known else 0.0
             for name in ids:

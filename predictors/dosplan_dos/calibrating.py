@@ -285,6 +285,7 @@ def _coverage_by_cell(
 
 
 def _areas(scored: Scored, factors: FloatArray) -> str:
+    """Mean areas; those of unions as if they grew with the square of the factor, as ellipses do."""
     known = np.isfinite(scored.score)
     area = np.where(known, scored.area * factors**2, 0.0).sum(axis=0) / known.sum(axis=0)
     return " / ".join(f"{area[column]:.2f}" for column in SECONDS)

@@ -41,7 +41,7 @@ BATCH: Final = 4096
 RATE: Final = 0.05
 
 _SMALLEST: Final = 1e-3
-"""Smaller scores count as this one: a millimetre or two, which nobody asks for."""
+"""Smaller scores count as this one: a thousandth of a set, which no level asks for."""
 _SLOPES: Final = (0.2, 3.0)
 """Bounds of b."""
 

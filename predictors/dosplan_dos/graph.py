@@ -15,7 +15,9 @@ from dosplan_dos.module import OccupancyModule, UnionModule
 class SetsGraph(Graph):
     """Features, trajectory, velocity and history in; semi-axes and double angle out."""
 
-    inputs: ClassVar = dict.fromkeys(("features", "trajectory", "velocity", "history"), "targets")
+    inputs: ClassVar = dict.fromkeys(
+        ("features", "trajectory", "velocity", "history"), ("targets",)
+    )
     outputs: ClassVar = ("semi_axes", "double_angle")
 
     def __init__(self, module: OccupancyModule) -> None:
@@ -43,9 +45,13 @@ class SetsGraph(Graph):
 class UnionGraph(Graph):
     """Features, M trajectories and their weights, velocity and history in; M ellipses out."""
 
-    inputs: ClassVar = dict.fromkeys(
-        ("features", "trajectories", "log_weight", "velocity", "history"), "targets"
-    )
+    inputs: ClassVar = {
+        "features": ("targets",),
+        "trajectories": ("targets", "modes"),  # One, where they are those of another predictor.
+        "log_weight": ("targets", "modes"),
+        "velocity": ("targets",),
+        "history": ("targets",),
+    }
     outputs: ClassVar = ("semi_axes", "double_angle", "centre")
 
     def __init__(self, module: UnionModule) -> None:

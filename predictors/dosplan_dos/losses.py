@@ -55,77 +55,38 @@ class PaperLoss(SetLoss):
         return _mean(cost + self.k * sets.area, valid)
 
 
-class Multipliers(nn.Module):
-    """The prices of a miss, one a step, that bring the coverage to what is wanted (dual ascent).
+class CoverageLoss(SetLoss):
+    """Least area under the constraint that a share of the truths is covered at every step.
 
-    They are raised where less than the wanted share of a batch is covered and lowered where more
-    is. Areas count in units that grow with time, so that the late steps do not dominate the early
-    ones.
+    The Lagrangian of: minimise E[area_t] subject to P(d_M <= 1) >= coverage. The indicator is
+    smoothed in log distance; the multipliers, one a step, are raised where less than the wanted
+    share of a batch is covered and lowered where more is (dual ascent). Areas count in units that
+    grow with time, so that the late steps do not dominate the early ones.
+
+    Unions can be trained for it as well: a truth is missed that is in none of a union's ellipses,
+    and the area is that of the union, not the sum of those of its ellipses.
     """
 
     log_multiplier: Tensor
     unit: Tensor
 
-    def __init__(self, coverage: float, rate: float) -> None:
+    def __init__(self, coverage: float = 0.9, rate: float = 0.02) -> None:
         super().__init__()
         self.coverage, self.rate = coverage, rate
         steps = len(grid_seconds())
         self.register_buffer("log_multiplier", torch.zeros(steps))
         self.register_buffer("unit", 0.3 + 4.0 * grid_seconds() ** 2)
 
-    def cost(self, area: Tensor, distance: Tensor, valid: Tensor) -> Tensor:
-        """The Lagrangian of: minimise E[area_t] subject to P(distance_t <= 1) >= coverage.
-
-        Args:
-            area: (B, G) m2.
-            distance: (B, G) of the truth; 1 on the boundary.
-            valid: (B, G) 1 where it is recorded, 0 elsewhere.
-
-        Returns:
-            A scalar.
-        """
-        logarithm = distance.clamp(max=FARTHEST).log()
-        missed = torch.sigmoid(STEEPNESS * logarithm)  # The indicator, smooth in log distance.
+    def forward(self, sets: Ellipses | Unions, error: Tensor, valid: Tensor) -> Tensor:
+        """See ``SetLoss.forward``; of unions, ``error`` is the true centre itself, m."""
+        logarithm = sets.distance(error).clamp(max=FARTHEST).log()
+        missed = torch.sigmoid(STEEPNESS * logarithm)
         if self.training:
             with torch.no_grad():
                 share = ((logarithm > 0) * valid).sum(0) / valid.sum(0).clamp(min=1)
                 self.log_multiplier += self.rate * (share - (1 - self.coverage)) / 0.1
         multiplier = self.log_multiplier.exp() * 10.0
-        return _mean(area / self.unit + multiplier * missed, valid)
-
-
-class CoverageLoss(SetLoss, Multipliers):
-    """Least area under the constraint that a share of the truths is covered at every step."""
-
-    def __init__(self, coverage: float = 0.9, rate: float = 0.02) -> None:
-        super().__init__(coverage, rate)
-
-    def forward(self, sets: Ellipses, error: Tensor, valid: Tensor) -> Tensor:
-        """See ``SetLoss.forward``."""
-        return self.cost(sets.area, sets.distance(error), valid)
-
-
-class UnionLoss(Multipliers):
-    """``CoverageLoss`` of unions: a truth is missed that is in none of the ellipses.
-
-    The area is that of the union, not the sum of those of its ellipses.
-    """
-
-    def __init__(self, coverage: float = 0.9, rate: float = 0.02) -> None:
-        super().__init__(coverage, rate)
-
-    def forward(self, sets: Unions, point: Tensor, valid: Tensor) -> Tensor:
-        """The loss.
-
-        Args:
-            sets: B x G unions.
-            point: (B, G, 2) true centre, m.
-            valid: (B, G) 1 where it is recorded, 0 elsewhere.
-
-        Returns:
-            A scalar.
-        """
-        return self.cost(sets.area, sets.distance(point), valid)
+        return _mean(sets.area / self.unit + multiplier * missed, valid)
 
 
 class GaussianLoss(SetLoss):

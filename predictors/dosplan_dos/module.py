@@ -41,7 +41,7 @@ class SetConfig:
         variant: The ellipses' representation.
         loss: What it is trained for.
         base: The trajectory predictor whose errors it has learned, by its name.
-        features: Width of the features H; in training, that of the network's.
+        features: Width of the features H; training takes the width that the network has.
         hidden: Width of the GRUs, or of a union's layers.
         modes: Number M of ellipses of a union, one around each trajectory of the network; 1 for
             the paper's module, which puts one around the most likely trajectory.

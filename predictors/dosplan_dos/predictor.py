@@ -76,13 +76,14 @@ class DosSettings(PredictorSettings):
             seen exactly, or ``realistic``, as its sensors see them. A ``scale`` then stands for
             the coverage that it has in the ideal loop, so that the sets know of the errors of
             what is seen. ``auto`` follows the run: ``realistic`` where its sensors err, unless
-            only a scale is asked for and the module is not calibrated for it.
+            no coverage is asked for and the module is not calibrated for it.
         conditional: Whether the factors of a coverage follow what is known of each road user (the
             noise of its track, whether it brakes or turns, the road ahead, its leader), instead of
             its kind and speed alone.
         adaptation: How fast the sets of a road user grow, in an episode, where it leaves earlier
-            ones, for a coverage; 0.2 makes them a fifth larger at a step at which all failed. By
-            default they do not; ``adaptation`` says what it guarantees.
+            ones, for a coverage. At a step at which all failed, 0.2 makes them 20 % larger where
+            90 % are to be covered, and 15 % where 70 % are. By default they do not grow; the
+            module ``adaptation`` says what is guaranteed.
         simultaneous: Whether to cover all steps of the horizon at once with that probability,
             instead of each step.
         base: Where the centres come from; by default the network of ``network``.

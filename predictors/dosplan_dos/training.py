@@ -35,7 +35,7 @@ from dosplan_dos.calibration import (
     save_calibrations,
 )
 from dosplan_dos.covariates import covariates
-from dosplan_dos.losses import LossConfig, UnionLoss
+from dosplan_dos.losses import LossConfig
 from dosplan_dos.module import CONSTANT_VELOCITY, OccupancyModule, SetConfig, UnionModule
 from dosplan_dos.shapes import Ellipses, Unions, Variant, grid_steps
 
@@ -176,8 +176,8 @@ def encode_windows(
             parts.append((*(value[keep] for value in values), _known(batch, keep)))
         first += len(cache.recordings)
     places = tuple(place_of(Path(name).name) for cache in caches for name in cache.recordings)
-    columns: list[Any] = [torch.cat(column) for column in zip(*parts, strict=True)]
-    return Windows(*columns, *[places])
+    columns: list[Any] = [*(torch.cat(column) for column in zip(*parts, strict=True)), places]
+    return Windows(*columns)
 
 
 def _known(batch: RawBatch, keep: Tensor) -> Tensor:
@@ -476,8 +476,7 @@ def scores(
             distance = sets.distance(point)
             distances.append(torch.where(valid > 0, distance, torch.full_like(distance, torch.nan)))
             areas.append(sets.area)
-    found = (torch.cat(parts).double().cpu().numpy() for parts in (distances, areas))
-    return next(found), next(found)
+    return torch.cat(distances).double().cpu().numpy(), torch.cat(areas).double().cpu().numpy()
 
 
 class _Learner(nn.Module):
@@ -486,5 +485,4 @@ class _Learner(nn.Module):
     def __init__(self, config: SetConfig) -> None:
         super().__init__()
         self.module = make_module(config)
-        unions = config.modes > 1
-        self.loss = UnionLoss(config.loss.coverage) if unions else config.loss.make()
+        self.loss = config.loss.make()

@@ -49,7 +49,7 @@ def export(model: Model, weights: Path, folder: Path) -> Path:
             opset_version=OPSET,
             input_names=list(graph.inputs),
             output_names=list(graph.outputs),
-            dynamic_axes={name: {0: length} for name, length in graph.inputs.items()},
+            dynamic_axes={name: dict(enumerate(axes)) for name, axes in graph.inputs.items()},
         )
         content = onnx.load(traced)
     onnx.helper.set_model_props(content, model.origin(weights))

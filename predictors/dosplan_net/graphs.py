@@ -33,12 +33,12 @@ class Graph(nn.Module, ABC):
     """A module whose inputs and outputs are tensors, none of which is optional.
 
     Attributes:
-        inputs: Names of the inputs, in order, each with a name for the length of its first axis:
-            inputs whose lengths have the same name are equally long.
+        inputs: Names of the inputs, in order, each with names for the lengths of its first axes,
+            which may differ from call to call: axes of the same name are equally long.
         outputs: Names of the outputs, in order.
     """
 
-    inputs: ClassVar[Mapping[str, str]]
+    inputs: ClassVar[Mapping[str, tuple[str, ...]]]
     outputs: ClassVar[Sequence[str]]
 
     @abstractmethod
@@ -49,7 +49,7 @@ class Graph(nn.Module, ABC):
 class MapGraph(Graph):
     """Map pieces in, what the network keeps of them out; see ``network.MapEncoder``."""
 
-    inputs: ClassVar = {"shape": "pieces", "attributes": "pieces"}
+    inputs: ClassVar = {"shape": ("pieces",), "attributes": ("pieces",)}
     outputs: ClassVar = ("code",)
 
     def __init__(self, network: TrajectoryNetwork) -> None:
@@ -70,14 +70,14 @@ class SceneGraph(Graph):
     """The fields of ``network.Scene`` in, those of ``network.Prediction`` out."""
 
     inputs: ClassVar = {
-        "pose": "users",
-        "history": "users",
-        "static": "users",
-        "targets": "targets",
-        "neighbours": "targets",
-        "pieces": "targets",
-        "piece_code": "map",
-        "piece_pose": "map",
+        "pose": ("users",),
+        "history": ("users",),
+        "static": ("users",),
+        "targets": ("targets",),
+        "neighbours": ("targets",),
+        "pieces": ("targets",),
+        "piece_code": ("map",),
+        "piece_pose": ("map",),
     }
     outputs: ClassVar = ("trajectory", "log_weight", "features")
 
@@ -110,7 +110,7 @@ class SceneGraph(Graph):
 class LightGraph(Graph):
     """Trajectories in, those of road users with a light ahead out; see ``LightResponse``."""
 
-    inputs: ClassVar = dict.fromkeys(("features", "trajectory", "velocity", "lights"), "users")
+    inputs: ClassVar = dict.fromkeys(("features", "trajectory", "velocity", "lights"), ("users",))
     outputs: ClassVar = ("answer",)
 
     def __init__(self, response: LightResponse) -> None:

@@ -38,8 +38,8 @@ ROUGHNESS_SPANS: Final = (10, 30)  # Steps over which the roughness of the histo
 MOTION_SIZE: Final = 5 * len(SPANS) + 2 * len(ROUGHNESS_SPANS)
 LEADER_SIZE: Final = 3  # Nearness, difference of the velocities, whether there is one.
 LEADER_ASIDE: Final = 1.8  # m; who is further aside is not in the way.
-LEADER_RANGE: Final = 4.0  # Of ``DISTANCE_UNIT``.
-NEAR: Final = 4.0  # Units of distance are this much finer where "here" matters.
+LEADER_RANGE: Final = 4.0  # In units of ``DISTANCE_UNIT``.
+NEAR: Final = 4.0  # Factor on distances, so that those of a few metres are told apart well.
 
 
 def motion(history: Tensor) -> Tensor:

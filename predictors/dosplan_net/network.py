@@ -80,6 +80,10 @@ class NetworkConfig:
                 f"there is no architecture {self.architecture!r}; "
                 f"choose {' or '.join(ARCHITECTURES)}"
             )
+        if self.map_encoder != MAP_ENCODERS[0] and self.architecture != RECURRENT:
+            raise ValueError(
+                f"the map encoder {self.map_encoder!r} goes with the architecture {RECURRENT} only"
+            )
         if self.modes < 1 or (self.modes > 1 and self.architecture == RECURRENT):
             raise ValueError(
                 f"modes is {self.modes}, expected 1 or, with the architecture {MODAL}, more"

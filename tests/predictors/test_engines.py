@@ -132,6 +132,24 @@ def test_both_engines_predict_the_same_unions(ref: ScenarioRef, folder: Path) ->
     assert_same(ours.by_component()[0], reference.by_component()[0])
 
 
+def test_both_engines_make_a_union_around_the_one_course_of_another_predictor(
+    folder: Path,
+) -> None:
+    seen = seen_at(steady_tracks([[30.0, 0.0, 0.3, 8.0], [-20.0, 0.0, 0.0, 12.0]]), 40)
+    settings = DosSettings(
+        sets=str(folder / "unions.safetensors"),
+        network=folder / "several.safetensors",
+        base=choose_predictor("constant-velocity"),
+    )
+    reference, ours = (
+        DosPredictor(settings=replace(settings, engine=engine)).predict(seen) for engine in Engine
+    )
+    assert ours.union is not None
+    assert ours.union.count == 1
+    assert ours.semi_axes.min() > 0.0
+    assert_same(ours, reference)
+
+
 def _seen(first: Sequence[Sequence[float]], kind: RoadUserKind = RoadUserKind.CAR) -> Observation:
     return seen_at(steady_tracks(first, kinds=[kind] * len(first)), 0)
 

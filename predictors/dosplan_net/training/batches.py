@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from dosplan.evaluation.groups import MOVING
+from dosplan.simulation.settings import SensingSettings
 from dosplan.types import STEP_SECONDS
 from dosplan_net.features import HISTORY, HORIZON
 from dosplan_net.network import Scene
@@ -235,32 +236,15 @@ def retimed(batch: RawBatch, spread: float, random: np.random.Generator) -> RawB
     )
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Errors with which road users are seen; the defaults are those of the realistic loop.
-
-    Attributes:
-        position: Standard deviation along x and along y, m.
-        speed: m/s.
-        heading: rad.
-        correlation: Correlation time, s.
-    """
-
-    position: float = 0.15
-    speed: float = 0.25
-    heading: float = 0.075
-    correlation: float = 0.5
-
-
 def disturbed(
-    batch: RawBatch, share: float, errors: Errors, random: np.random.Generator
+    batch: RawBatch, share: float, errors: SensingSettings, random: np.random.Generator
 ) -> RawBatch:
     """The batch as sensors that err see some of its scenes; what comes is as recorded.
 
     Args:
         batch: A batch.
         share: Share of the scenes.
-        errors: How they err: first-order Gauss-Markov processes, as in ``dosplan.simulation``.
+        errors: How they err about places, headings and speeds; nothing else of it is looked at.
         random: Generator that draws scenes and errors.
 
     Returns:

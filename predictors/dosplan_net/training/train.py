@@ -17,12 +17,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from dosplan.simulation.settings import REALISTIC
 from dosplan.system.files import atomic_file
 from dosplan_net.build import MODEL, build_network, load_network
 from dosplan_net.features import HORIZON
 from dosplan_net.network import NetworkConfig, Prediction, TrajectoryNetwork
 from dosplan_net.training.batches import (
-    Errors,
     RawBatch,
     Selection,
     cut_histories,
@@ -260,9 +260,9 @@ def displacement(
         device: Where the network is.
 
     Returns:
-        ``score``: what weights are selected by, the mean of the next and ``best_ade``; ``ade``:
-        mean over every recorded step, m; ``fde``: at the last step; ``at_1``: at 1 s; each of the
-        most likely trajectory; ``best_ade``, ``best_fde``: of the best of them.
+        In m, of the most likely trajectory: ``ade``, the mean over every recorded step, ``fde``, at
+        the last step, and ``at_1``, at 1 s; of the best trajectory: ``best_ade`` and ``best_fde``.
+        Before them ``score``, the mean of ``ade`` and ``best_ade``, which selects the weights.
     """
     total = torch.zeros(2, HORIZON, device=device)
     count = torch.zeros(HORIZON, device=device)
@@ -343,7 +343,7 @@ class _Source:
             batch = retimed(batch, config.retiming, random)
         batch = cut_histories(batch, config.forgetting, random)
         if config.disturbed:
-            batch = disturbed(batch, config.disturbed, Errors(), random)
+            batch = disturbed(batch, config.disturbed, REALISTIC.sensing, random)
         found = network(batch.scene(network.map_encoder, targets))
         valid = batch.future_valid[targets]
         return config.loss.total(found, batch.future[targets], valid)

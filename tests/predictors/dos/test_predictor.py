@@ -249,7 +249,7 @@ def test_a_union_has_an_ellipse_around_each_course_of_events(union_settings: Dos
     np.testing.assert_array_equal(union.weight[parked], [[1.0, 0.0, 0.0]] * len(parked))
 
 
-def test_unions_grow_with_their_scale_and_turn_with_the_scene(union_settings: DosSettings) -> None:
+def test_unions_grow_with_their_scale(union_settings: DosSettings) -> None:
     observation = seen(busy_scenario())
     once = predict(union_settings, observation).union
     twice = predict(replace(union_settings, scale=2.0), observation).union

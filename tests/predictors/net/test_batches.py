@@ -11,7 +11,6 @@ import torch
 from dosplan_net.features import HISTORY
 from dosplan_net.network import TrajectoryNetwork, neighbour_relation, piece_relation
 from dosplan_net.training.batches import (
-    Errors,
     RawBatch,
     Selection,
     cut_histories,
@@ -23,6 +22,7 @@ from dosplan_net.training.batches import (
 )
 from dosplan_net.training.cache import WindowCache
 
+from dosplan.simulation.settings import SensingSettings
 from tests.support.models import tiny_network
 
 
@@ -190,7 +190,7 @@ def in_the_world(batch: RawBatch) -> torch.Tensor:
 
 def test_sensors_err_about_the_past_and_not_about_what_comes(cache: WindowCache) -> None:
     batch = read_scenes(cache, range(cache.scenes))
-    errors = Errors(position=0.2, speed=0.4, heading=0.1)
+    errors = SensingSettings(position=0.2, speed=0.4, heading=0.1)
     seen = disturbed(batch, 1.0, errors, np.random.default_rng(0))
     torch.testing.assert_close(in_the_world(seen), in_the_world(batch), atol=1e-3, rtol=0)
     off = (seen.pose - batch.pose)[batch.moves]

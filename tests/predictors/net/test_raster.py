@@ -9,7 +9,7 @@ import pytest
 import torch
 from dosplan_net.build import MODEL, build_network, load_network
 from dosplan_net.features import PIECE_ATTRIBUTES, PIECE_POINTS
-from dosplan_net.network import DISTANCE_UNIT, NetworkConfig
+from dosplan_net.network import DISTANCE_UNIT, MODAL, NetworkConfig
 from dosplan_net.raster import CHANNELS, SIDE, PieceKeeper, RasterNetwork, draw
 from dosplan_net.training.batches import read_scenes
 from dosplan_net.training.cache import WindowCache
@@ -109,3 +109,5 @@ def test_the_network_reads_the_image_and_keeps_its_encoder(
 def test_another_map_encoder_is_refused() -> None:
     with pytest.raises(ValueError, match="no map encoder 'photo'; choose polylines or raster"):
         NetworkConfig(map_encoder="photo")
+    with pytest.raises(ValueError, match="raster' goes with the architecture recurrent only"):
+        NetworkConfig(map_encoder="raster", architecture=MODAL)

@@ -239,9 +239,9 @@ class MpcEpisode:
         if arrival is None:
             return _plan(observation, guess, report)
         fallen = report.fallback and _ARRIVAL
-        return _plan(
-            observation, arrival, replace(report, slack=0.0, road_slack=0.0, fallback=fallen)
-        )
+        # What the plan before it entered is not entered.
+        free = replace(report, slack=0.0, road_slack=0.0, active_ids=(), fallback=fallen)
+        return _plan(observation, arrival, free)
 
     def _look(self, observation: Observation, occupancy: Occupancy) -> _Scene:
         """Where the ego is, its reference, and the sets it keeps out of."""

@@ -63,19 +63,22 @@ def locate_goal(
         window = _locate(goal, goal.region, path, settings, turn)
         if window is not None:
             return replace(window, end=max(min(window.end, farthest), window.begin))
-    return _why_not(goal, goal.region, path, settings.lateral_reach)
+    return _why_not(goal, goal.region, path, settings)
 
 
-def _why_not(goal: GoalState, region: shapely.Geometry, path: EvenPath, reach: float) -> str:
-    """Why a goal has no window: it is too far from the path, or else heads elsewhere."""
+def _why_not(
+    goal: GoalState, region: shapely.Geometry, path: EvenPath, settings: GoalSettings
+) -> str:
+    """Why a goal has no window: its heading, where the ego could go there, or else its place."""
     away = float(shapely.distance(shapely.LineString(path.points), region))
-    if away > reach or goal.heading is None:
-        return f"its region is {away:.1f} m beside the route"
-    along = path.locate(np.array(region.centroid.coords[0]))
-    low, high = goal.heading
-    turned = abs(float(wrap_angle(path.heading_at(along) - 0.5 * (low + high))))
-    off = np.rad2deg(max(turned - 0.5 * (high - low), 0.0))
-    return f"its heading is {off:.0f} degrees off the route's"
+    if goal.heading is not None and away <= settings.lateral_reach:
+        along = path.locate(np.array(region.centroid.coords[0]))
+        low, high = goal.heading
+        turned = abs(float(wrap_angle(path.heading_at(along) - 0.5 * (low + high))))
+        off = turned - 0.5 * (high - low)
+        if off > settings.widest_turn:
+            return f"its heading is {np.rad2deg(off):.0f} degrees off the route's"
+    return f"its region is {away:.1f} m beside the route"
 
 
 def _locate(

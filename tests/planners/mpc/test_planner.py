@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from dosplan_mpc import effort
+from dosplan_mpc.arrival import Arrival, Arrivals
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.nlp import MpcProblem, Solution
 from dosplan_mpc.planner import MpcPlanner
@@ -23,7 +24,19 @@ from dosplan.scenario import load_scenario
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
-from dosplan.types import Arm, Episode, EpisodeEnd, GoalState, Outcome, Scenario, Score, SolveStatus
+from dosplan.simulation.world import World
+from dosplan.types import (
+    Arm,
+    Episode,
+    EpisodeEnd,
+    FloatArray,
+    GoalState,
+    Outcome,
+    Scenario,
+    Score,
+    SolveReport,
+    SolveStatus,
+)
 from dosplan.vehicle import VehicleParameters
 from tests.support import scenes
 
@@ -188,6 +201,26 @@ def test_a_goal_turned_from_the_lane_is_met(
     )
     row = driven(tmp_path, lanes, scenes.Problem(start=start, goals=(goal,)))
     assert row.outcome is Outcome.SUCCESS, row
+
+
+def test_an_arrival_is_not_reported_to_enter_what_the_plan_entered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def planned() -> SolveReport:
+        scenario = straight_scenario(steady_tracks([[8.0, 0.0, 0.0, 0.0]]), velocity=10.0)
+        planner = MpcPlanner()
+        planner.reset(scenario.task, scenario.road_map, scenario.task.vehicle)
+        seen = World(scenario).observation()
+        return planner.plan(seen, ConstantVelocityPredictor().predict(seen)).report
+
+    assert planned().active_ids
+
+    def arrive(self: Arrivals, plan: FloatArray, *rest: object) -> Arrival:
+        return Arrival(plan, np.zeros((len(plan) - 1, 2)), 1)
+
+    monkeypatch.setattr(Arrivals, "instead", arrive)
+    report = planned()
+    assert (report.active_ids, report.slack, report.road_slack) == ((), 0.0, 0.0)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])

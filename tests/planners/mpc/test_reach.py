@@ -20,6 +20,7 @@ EGO = VehicleParameters()
 CONFIG = MpcConfig()
 PATH = LanePath(straight_route(), CONFIG.path)
 ORIGIN = float(PATH.locate(np.zeros(2)))
+END = float(PATH.points[-1, 0])
 
 
 def region(x: float, y: float = 0.0, length: float = 6.0, width: float = 3.0) -> shapely.Polygon:
@@ -53,6 +54,8 @@ def test_a_goal_ahead_is_none_of_them() -> None:
         (GoalState(0, 90, region=region(20.0), heading=(2.9, 3.1)), "166 degrees off the route"),
         # Beside the path, where the ego could go: what is missing is the heading.
         (GoalState(0, 90, region=region(20.0, 4.0), heading=(2.9, 3.1)), "166 degrees off the"),
+        # Behind the end of the path, where the heading would do.
+        (GoalState(0, 90, region=region(END + 8.0), heading=(-0.1, 0.1)), "5.0 m beside the route"),
     ],
 )
 def test_what_is_missing_is_said(goal: GoalState, words: str) -> None:

@@ -2,8 +2,7 @@
 
 Coverage over the windows of recordings counts a parked row like the car that cuts in. Here the
 road users that come near the ego count, in the traffic that the ego met, with the sets that its
-planner was handed, at the steps for which a run keeps them (``dosplan.results.recording``). Their
-true centres are compared: of what was driven, not of what the ego saw.
+planner was handed, at the steps for which a run keeps them (``dosplan.results.recording``).
 
 The distance is d_M of the true centre, the least of the components where a set is a union: 1 on
 the boundary of the set, 2 where it would have to be twice as long and wide.
@@ -22,14 +21,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from dosplan.geometry import mahalanobis
+from dosplan.evaluation.kept_sets import KeptSets
 from dosplan.results.drive import Drive, find_drives
 from dosplan.results.intervals import Interval, share_interval
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_run
 from dosplan.system.files import FileError
 from dosplan.system.provenance import describe_environment
-from dosplan.types import STEP_SECONDS, USER_X, USER_Y, Arm, BoolArray, FloatArray, IntArray, Tracks
+from dosplan.types import STEP_SECONDS, Arm, BoolArray, FloatArray, IntArray, Tracks
 
 NEAR: Final = 20.0
 """m between the centres of ego and road user at the step that is compared."""
@@ -44,10 +43,6 @@ BEFORE: Final = 5
 """Steps before a collision at which the set of the road user that was struck was made: 0.5 s."""
 
 QUANTILES: Final = (0.5, 0.9, 0.99)
-
-_ROUNDING: Final = 0.02
-"""m by which sets are larger here: a run keeps places and axes rounded to 1/64 m, which is more
-than what a set of someone at rest may measure."""
 
 
 @dataclass(frozen=True)
@@ -85,40 +80,19 @@ def compare_sets(recording: Recording, tracks: Tracks, ego: FloatArray) -> Compa
     Returns:
         The comparisons, by cycle and road user.
     """
-    row_of = {int(name): row for row, name in enumerate(tracks.ids)}
-    rows = np.array([row_of[int(name)] for name in recording.set_ids], dtype=np.int64)
-    at = recording.cycle_steps[recording.set_cycle][:, None] + recording.set_offsets
-    last = min(tracks.steps, recording.start_step + len(ego)) - 1
-    step = np.minimum(at, last)
-    known = (at <= last) & tracks.valid[rows[:, None], step]
-    known &= np.all(np.isfinite(recording.set_centres), axis=-1)
-    known &= np.any(recording.set_semi_axes > 0.0, axis=-1)
-    centre = tracks.states[rows[:, None], step][..., [USER_X, USER_Y]]
-    axes = recording.set_semi_axes + _ROUNDING
-    distance = mahalanobis(centre, recording.set_centres, axes, recording.set_angles)
-    off = np.linalg.norm(centre - recording.set_centres, axis=-1)
-    beyond = off * (1.0 - 1.0 / np.maximum(distance, 1.0))
-    near = np.linalg.norm(centre - ego[step - recording.start_step], axis=-1) <= NEAR
-    # A set may be kept as several ellipses: rows of one cycle and road user.
-    key = np.stack((recording.set_cycle, recording.set_ids), axis=1)
-    sets, of = np.unique(key, axis=0, return_inverse=True)
-
-    def least(values: FloatArray) -> FloatArray:
-        found = np.full((len(sets), values.shape[1]), np.inf)
-        np.minimum.at(found, of.ravel(), np.where(known, values, np.inf))
-        return found
-
-    nearest = least(distance)
-    beside = np.zeros(nearest.shape, dtype=np.bool_)
-    beside[of.ravel()] = near
-    which, column = np.nonzero(np.isfinite(nearest))
+    kept = KeptSets.of(recording, tracks)
+    at = kept.made[:, None] + kept.offsets
+    last = recording.start_step + len(ego) - 1
+    there = ego[np.minimum(at, last) - recording.start_step]
+    near = np.linalg.norm(kept.truth - there, axis=-1) <= NEAR
+    which, column = np.nonzero(np.isfinite(kept.distance) & (at <= last))
     return Comparisons(
-        cycle=sets[which, 0],
-        ids=sets[which, 1],
-        ahead=recording.set_offsets[column],
-        distance=nearest[which, column],
-        beyond=least(beyond)[which, column],
-        near=beside[which, column],
+        cycle=kept.cycle[which],
+        ids=kept.ids[which],
+        ahead=kept.offsets[column],
+        distance=kept.distance[which, column],
+        beyond=kept.beyond[which, column],
+        near=near[which, column],
     )
 
 

@@ -179,11 +179,12 @@ def test_packing_is_deterministic_and_undone() -> None:
 
 def test_who_is_in_a_set_is_told_exactly() -> None:
     # The road user drives along x at 8 m/s from x = 30, so it is at 66 m at step 45 and at 70 m at
-    # step 50. Ellipses of 2 m by 0.5 m, turned by 90 degrees: long across the road.
+    # step 50. Ellipses of 2 m by 0.5 m, turned by 90 degrees: long across the road. They are taken
+    # two centimetres larger, as a run rounds them.
     tracks = steady_tracks([[30.0, 0.0, 0.0, 8.0]])
     axes = np.tile([2.0, 0.5], (2, 1))
-    for along, across, held in ((0.49, 0.0, True), (0.51, 0.0, False), (0.0, 1.99, True)):
-        centres = np.array([[66.0 + along, across], [70.0, 2.01]])
+    for along, across, held in ((0.51, 0.0, True), (0.53, 0.0, False), (0.0, 2.01, True)):
+        centres = np.array([[66.0 + along, across], [70.0, 2.03]])
         recording = _recording(Arm.WITH_DOS, centres, axes, np.pi / 2.0)
         met = sets_met(recording, tracks, driven=2)
         assert met.inside.tolist() == [[held, False]]

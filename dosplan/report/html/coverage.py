@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dosplan.evaluation.groups import MOVING
-from dosplan.geometry import inside_ellipse
+from dosplan.evaluation.kept_sets import KeptSets
 from dosplan.results.recording import Recording
 from dosplan.types import USER_VELOCITY, BoolArray, FloatArray, IntArray, Tracks
 
@@ -89,31 +89,17 @@ def sets_met(recording: Recording, tracks: Tracks, driven: int) -> SetsMet:
     Returns:
         The comparisons, of the cycles of that drive.
     """
-    step, ids = recording.cycle_steps[recording.set_cycle], recording.set_ids
-    centre = recording.set_centres
-    axes, angle = recording.set_semi_axes, recording.set_angles
-    user = _indices(ids, tracks.ids)
-    target = step[:, None] + recording.set_offsets
-    column = np.minimum(target, tracks.steps - 1)
-    there = (user >= 0)[:, None] & (target < tracks.steps) & tracks.valid[user[:, None], column]
-    truth = tracks.states[user[:, None], column, :2]
-    counted = there & np.all(axes > 0.0, axis=-1)
-    inside = counted & inside_ellipse(truth, centre, axes, angle)
-    now = tracks.states[user, np.minimum(step, tracks.steps - 1), USER_VELOCITY]
-    first = recording.first_components
-    if len(first):
-        counted, inside = (np.logical_or.reduceat(part, first) for part in (counted, inside))
-    kept = step[first] < recording.start_step + driven
-    first = first[kept]
-    miss = np.linalg.norm(truth[first] - centre[first], axis=-1)
+    kept = KeptSets.of(recording, tracks)
+    now = tracks.states[kept.rows, np.minimum(kept.made, tracks.steps - 1), USER_VELOCITY]
+    scored = kept.made < recording.start_step + driven
     return SetsMet(
-        step=step[first],
-        ids=ids[first],
-        offsets=recording.set_offsets,
-        miss=np.where(there[first], miss, np.nan),
-        counted=counted[kept],
-        inside=inside[kept],
-        moving=np.abs(now[first]) >= MOVING,
+        step=kept.made[scored],
+        ids=kept.ids[scored],
+        offsets=kept.offsets,
+        miss=kept.miss[scored],
+        counted=~np.isnan(kept.distance[scored]),
+        inside=kept.distance[scored] <= 1.0,
+        moving=np.abs(now[scored]) >= MOVING,
     )
 
 
@@ -169,9 +155,3 @@ def predictions_of(met: SetsMet, user: int, step: int) -> list[Prediction]:
             held = bool(met.inside[row, column]) if met.counted[row, column] else None
             answer.append(Prediction(offset, float(met.miss[row, column]), held))
     return answer
-
-
-def _indices(wanted: IntArray, ids: IntArray) -> IntArray:
-    """Index of each wanted id, or -1."""
-    by_id = {int(one): index for index, one in enumerate(ids)}
-    return np.array([by_id.get(int(one), -1) for one in wanted], dtype=np.int64)

@@ -279,7 +279,7 @@ class DosPredictor(Predictor):
 def _only_course(
     observation: Observation, encoded: Encoded, trajectory: Occupancy
 ) -> tuple[Float32Array, Float32Array]:
-    """(T, 1, HORIZON, 2) a trajectory in each road user's frame, m, and (T, 1) its weight, of log.
+    """(T, 1, HORIZON, 2) a trajectory in each road user's frame, m, and (T, 1) its log weight, 0.
 
     Where there is no prediction, at a step that is not valid or beyond the horizon, the last
     predicted position before it is repeated.

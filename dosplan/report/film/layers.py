@@ -163,7 +163,7 @@ class Sets:
         extended = (semi_axes[order] > 0.0).all(axis=-1)
         sets, points = order[extended], order[~extended]
         colours = SET_COLOURS(shares)
-        colours[:, 3] *= np.sqrt(weights)  # Of what is seen, a tenth is a third: it matters, too.
+        colours[:, 3] *= np.sqrt(weights)  # The root, so that 0.1 is still drawn by a third.
         self._ellipses.set_offsets(centres[sets])
         self._ellipses.set_widths(2.0 * semi_axes[sets, 0])
         self._ellipses.set_heights(2.0 * semi_axes[sets, 1])

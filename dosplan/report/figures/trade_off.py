@@ -55,12 +55,11 @@ _SINGLE: Final = (
     ("DOS coverage", "DOS, coverage loss", "*"),
     ("DOS coverage, calibrated at 90 %", "DOS, calibrated at 90 %", "P"),
     ("DOS coverage, calibrated at 90 % over 4 s", "the same, over all steps at once", "X"),
-    ("DOS coverage, as driven (half axes)", "DOS, coverage loss, half axes", "p"),
-    ("DOS coverage on constant velocity", "the same loss on constant velocity", "h"),
+    ("DOS coverage, calibrated at 70 %", "DOS, calibrated at 70 %", "p"),
     ("DOS union", "DOS, union of three", "1"),
     ("DOS union, calibrated at 90 %", "the union, calibrated at 90 %", "2"),
     ("DOS union, calibrated at 90 % over 4 s", "the same, over all steps at once", "3"),
-    ("DOS union, as driven (half axes)", "the union, half axes", "4"),
+    ("DOS union, as driven (calibrated at 70 %)", "the union, calibrated at 70 % (as driven)", "4"),
 )
 
 

@@ -83,7 +83,9 @@ def share_interval(verdicts: FloatArray, scenarios: Sequence[str]) -> Interval:
     centre = share + z * z / (2.0 * n)
     half = z * math.sqrt(share * (1.0 - share) / n + (z / (2.0 * n)) ** 2)
     whole = 1.0 + z * z / n
-    return Interval(share, max(centre - half, 0.0) / whole, min((centre + half) / whole, 1.0))
+    # At shares of 0 and 1 an end is the share itself, which rounding may miss.
+    low, high = min((centre - half) / whole, share), max((centre + half) / whole, share)
+    return Interval(share, max(low, 0.0), min(high, 1.0))
 
 
 def mean_interval(values: FloatArray, scenarios: Sequence[str]) -> Interval:

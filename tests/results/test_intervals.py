@@ -32,6 +32,13 @@ def test_shares_of_single_places_have_wilsons_interval(count: int, n: int) -> No
     assert share_interval(_verdicts(count, n), _each(n)) == pytest.approx(expected, abs=1e-12)
 
 
+def test_a_share_is_in_its_interval_in_spite_of_rounding() -> None:
+    for n in range(1, 400):
+        for count in (0, 1, n - 1, n):
+            share, low, high = share_interval(_verdicts(count, n), _each(n))
+            assert 0.0 <= low <= share <= high <= 1.0
+
+
 def test_none_of_n_is_bounded() -> None:
     """The upper end is z^2 / (n + z^2)."""
     bound = pytest.approx(3.8414588 / 153.8414588)

@@ -54,7 +54,7 @@ def draw(published: Published) -> Figure:
         good.set_title(f"{title}, n = {len(arms[Arm.WITH_DOS])}", loc="left", fontweight="bold")
     for axes, label in zip(panels[-1], ("share, %", "share, %", "velocity, m/s"), strict=True):
         axes.set_xlabel(label)
-    panels[0, 0].set_xlim(right=100.0)
+    panels[0, 0].set_xlim(right=100.6)
     panels[0, 1].set_xlim(left=-0.4)
     handles, titles = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, titles, loc="outside lower center", ncols=2)

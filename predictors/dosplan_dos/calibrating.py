@@ -16,7 +16,7 @@ import numpy as np
 from dosplan.evaluation.groups import CELL_WINDOWS, SPEED_BINS
 from dosplan.types import FloatArray, IntArray
 from dosplan_dos.calibration import SPEED_EDGES, Calibration, Mode, estimate_coverage
-from dosplan_dos.conditional import cross_fitted
+from dosplan_dos.conditional import ConditionalScores, cross_fitted
 from dosplan_dos.covariates import track_noise
 
 LEVELS: Final = (0.5, 0.7, 0.8, 0.9, 0.95, 0.99)  # Of which is told what they cover.
@@ -84,8 +84,7 @@ class Scored:
         Raises:
             ValueError: A step has too few windows.
         """
-        about = (self.speed, self.kinds.tolist(), self.recording)
-        return [Calibration.fit(self.score, *about, mode) for mode in modes]
+        return self._fitted(self.score, modes)
 
     def conditional(self, *modes: Mode) -> list[Calibration]:
         """Calibrates by what is known of each road user.
@@ -100,8 +99,14 @@ class Scored:
             ValueError: A step has too few windows, or all are of one place.
         """
         given, ranks = cross_fitted(self.score, self.covariates, self.folds)
+        return self._fitted(ranks, modes, given)
+
+    def _fitted(
+        self, scores: FloatArray, modes: Sequence[Mode], given: ConditionalScores | None = None
+    ) -> list[Calibration]:
+        """A calibration of these windows by some scores for each mode."""
         about = (self.speed, self.kinds.tolist(), self.recording)
-        return [Calibration.fit(ranks, *about, mode, given) for mode in modes]
+        return [Calibration.fit(scores, *about, mode, given) for mode in modes]
 
 
 def calibrate(scored: Scored) -> list[Calibration]:

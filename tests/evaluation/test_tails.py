@@ -13,7 +13,7 @@ from dosplan.evaluation.tails import NEARBY, compare_sets, evaluate_drives
 from dosplan.results.recording import Recording
 from dosplan.scenario.synthetic import steady_tracks
 from dosplan.system.files import FileError, read_json
-from dosplan.types import Arm, EpisodeEnd
+from tests.support.factories import recording_of_sets
 from tests.support.runs import configured, run_here
 from tests.support.scenes import Goal, Problem, User, driving, rectangle, write_scenario_xml
 
@@ -23,33 +23,12 @@ CENTRES = np.array([[[2.5, 0.0], [5.0, 0.0]], [[2.5, 0.0], [5.0, 0.0]], [[2.5, 0
 
 def kept(ids: list[int], centres: Any, axes: Any, *, steps: int = STEPS) -> Recording:
     """One cycle at step 0 with sets 5 and 10 steps ahead; the ego stands in the origin."""
-    n = len(ids)
-    return Recording(
-        scenario_id="s",
-        arm=Arm.WITH_DOS,
-        start_step=0,
-        states=np.zeros((steps + 1, 5)),
-        inputs=np.zeros((steps, 2)),
-        end=EpisodeEnd.TIME_OVER,
-        error=None,
-        cycle_steps=np.array([0]),
-        predict_seconds=np.zeros(1),
-        plan_seconds=np.zeros(1),
-        traffic="replay",
-        tracks=None,
-        status=("solved",),
-        iterations=np.ones(1, dtype=np.int64),
-        slack=np.zeros(1),
-        road_slack=np.zeros(1),
-        active_ids=((),),
-        fallback=("",),
-        plan_centres=np.zeros((1, 11, 2)),
-        set_cycle=np.zeros(n, dtype=np.int64),
-        set_ids=np.array(ids),
-        set_offsets=np.array([5, 10]),
-        set_centres=np.asarray(centres, dtype=np.float64),
-        set_semi_axes=np.asarray(axes, dtype=np.float64),
-        set_angles=np.zeros((n, 2)),
+    return recording_of_sets(
+        ids,
+        np.asarray(centres, dtype=np.float64),
+        np.asarray(axes, dtype=np.float64),
+        np.zeros((len(ids), 2)),
+        steps=steps,
     )
 
 

@@ -40,7 +40,6 @@ from dosplan.system.files import FileError, write_json
 from dosplan.types import (
     COLOURS,
     Arm,
-    EpisodeEnd,
     EpisodeKey,
     FloatArray,
     Lanelet,
@@ -48,6 +47,7 @@ from dosplan.types import (
     Outcome,
     Score,
 )
+from tests.support.factories import recording_of_sets
 from tests.support.lights import STOP_X, TURNS_GREEN, regulated_scenario
 from tests.support.plugins import PLUGINS, CoastPlanner, GrowingPredictor
 from tests.support.scenes import (
@@ -67,33 +67,14 @@ HOSTILE = "ZAM_</script><img src=x onerror=alert(1)>-1_1_T-1"
 
 def _recording(arm: Arm, centres: FloatArray, semi_axes: FloatArray, angle: float) -> Recording:
     """one cycle at step 40 that predicts one road user 5 and 10 steps ahead."""
-    states = np.zeros((3, 5))
-    return Recording(
-        scenario_id="s",
+    return recording_of_sets(
+        [100],
+        centres[None],
+        semi_axes[None],
+        np.full((1, 2), angle),
         arm=arm,
         start_step=40,
-        states=states,
-        inputs=np.zeros((2, 2)),
-        end=EpisodeEnd.TIME_OVER,
-        error=None,
-        cycle_steps=np.array([40]),
-        predict_seconds=np.full(1, 1e-3),
-        plan_seconds=np.full(1, 1e-3),
-        traffic="replay",
-        tracks=None,
-        status=("solved",),
-        iterations=np.ones(1, dtype=np.int64),
-        slack=np.zeros(1),
-        road_slack=np.zeros(1),
-        active_ids=((),),
-        fallback=("",),
-        plan_centres=np.zeros((1, 11, 2)),
-        set_cycle=np.array([0]),
-        set_ids=np.array([100]),
-        set_offsets=np.array([5, 10]),
-        set_centres=centres[None],
-        set_semi_axes=semi_axes[None],
-        set_angles=np.full((1, 2), angle),
+        steps=2,
     )
 
 

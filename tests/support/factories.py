@@ -9,10 +9,13 @@ import numpy as np
 from shapely import Geometry, Polygon
 
 from dosplan.geometry import covering_ellipse
+from dosplan.results.recording import Recording
 from dosplan.scenario.synthetic import CAR_SIZE, steady_tracks, straight_scenario
 from dosplan.types import (
     COLOURS,
     STEP_SECONDS,
+    Arm,
+    EpisodeEnd,
     FloatArray,
     GoalState,
     LightColour,
@@ -114,6 +117,46 @@ def occupancy_at(centres: FloatArray, horizon: int, semi_axis: float = 0.0) -> O
         valid=np.ones((n, horizon), dtype=np.bool_),
         footprint=np.tile(CAR_SIZE, (n, 1)),
         heading=np.zeros((n, horizon)),
+    )
+
+
+def recording_of_sets(
+    ids: Sequence[int],
+    centres: FloatArray,
+    semi_axes: FloatArray,
+    angles: FloatArray,
+    *,
+    arm: Arm = Arm.WITH_DOS,
+    start_step: int = 0,
+    steps: int = 10,
+) -> Recording:
+    """One cycle with (n, 2) sets 5 and 10 steps ahead; the ego stands in the origin."""
+    return Recording(
+        scenario_id="s",
+        arm=arm,
+        start_step=start_step,
+        states=np.zeros((steps + 1, 5)),
+        inputs=np.zeros((steps, 2)),
+        end=EpisodeEnd.TIME_OVER,
+        error=None,
+        cycle_steps=np.array([start_step]),
+        predict_seconds=np.full(1, 1e-3),
+        plan_seconds=np.full(1, 1e-3),
+        traffic="replay",
+        tracks=None,
+        status=("solved",),
+        iterations=np.ones(1, dtype=np.int64),
+        slack=np.zeros(1),
+        road_slack=np.zeros(1),
+        active_ids=((),),
+        fallback=("",),
+        plan_centres=np.zeros((1, 11, 2)),
+        set_cycle=np.zeros(len(ids), dtype=np.int64),
+        set_ids=np.array(ids),
+        set_offsets=np.array([5, 10]),
+        set_centres=centres,
+        set_semi_axes=semi_axes,
+        set_angles=angles,
     )
 
 

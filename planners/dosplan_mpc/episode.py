@@ -164,6 +164,8 @@ class MpcEpisode:
         self._effort = Effort(config)
         self._stage_steps = stage_steps(config)
         self._radius = disc_offsets(vehicle, config.discs)[1] + config.clearance
+        # (N,) on entering a set at each step.
+        self._penalty = config.set_penalty * np.linspace(1.0, config.far_penalty, config.horizon)
         self._path = aligned_path(task, config.path)
         end = _end_of_road(task, road_map)
         self._farthest = end - vehicle.length / 2.0 - config.path.end_margin
@@ -264,14 +266,9 @@ class MpcEpisode:
             barrier=None if decision.wait is None else self._barrier(decision.wait),
         )
 
-    def _penalty(self) -> FloatArray:
-        """(N,) penalty on entering a set at each step."""
-        steps = self._config.horizon
-        return self._config.set_penalty * np.linspace(1.0, self._config.far_penalty, steps)
-
     def _barrier(self, wait: Wait) -> ForbiddenSets:
         """The set behind a line."""
-        return barrier(self._config, self._vehicle, self._path, wait.line, self._penalty())
+        return barrier(self._config, self._vehicle, self._path, wait.line, self._penalty)
 
     def _locate(self, observation: Observation) -> EgoOnPath:
         """Where the ego is on the path, near to where it was."""
@@ -295,7 +292,7 @@ class MpcEpisode:
         config, n = self._config, self._config.horizon
         way = self._path.at(profile.arclength[1:])[:, :2]
         near = Components.near(occupancy, way, config.sets)
-        penalty = near.price[:, None] * self._penalty()
+        penalty = near.price[:, None] * self._penalty
         # An episode ends with its goal's deadline: nothing later may block the last metres.
         extended = max(self._final_step - observation.step, 0) if self._has_goals else n
         sets = forbidden_sets(near.sets, self._radius, near.keep, penalty, extended)
@@ -322,7 +319,8 @@ class MpcEpisode:
         done = not due and not pressed and _any_usable(attempts)
         if warm is not None and (done or not self._effort.in_time()):
             return attempts, _Spare(_LAST_PLAN, warm)
-        candidate, cost = self._best_candidate(scene)
+        sampled = self._sampler.sample(scene.start, scene.ego, scene.profile)
+        candidate, cost = self._best_of(scene, sampled)
         bar = np.inf if warm is None else self._cost_of(warm, scene)
         better = cost < bar - max(settings.worth_it, settings.better * bar)
         if (better or not _any_usable(attempts)) and self._effort.allows_solve():
@@ -330,10 +328,6 @@ class MpcEpisode:
         if warm is not None and bar < cost:
             return attempts, _Spare(_LAST_PLAN, warm)
         return attempts, _Spare(_SAMPLED, candidate)
-
-    def _best_candidate(self, scene: _Scene) -> tuple[Guess, float]:
-        """The best sampled candidate and its cost."""
-        return self._best_of(scene, self._sampler.sample(scene.start, scene.ego, scene.profile))
 
     def _best_of(self, scene: _Scene, candidates: Candidates) -> tuple[Guess, float]:
         """The best of some candidates and its cost."""

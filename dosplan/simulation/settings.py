@@ -15,16 +15,9 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from dosplan.types import STEP_SECONDS
+from dosplan.types.checks import check_numbers
 
 _SLACK: Final = 1e-6  # Parts of a step by which a time may miss a whole number of them.
-
-
-def _check_numbers(settings: object, *names: str) -> None:
-    """Refuses what is negative, infinite or no number: states would not be numbers either."""
-    for name in names:
-        value = getattr(settings, name)
-        if not 0.0 <= value < math.inf:
-            raise ValueError(f"{name} is {value}, expected 0 or more, and finite")
 
 
 @dataclass(frozen=True)
@@ -61,7 +54,6 @@ class SensingSettings:
     occlusion: bool = False
 
     def __post_init__(self) -> None:
-        _check_numbers(self, "position", "speed", "heading", "size", "correlation", "memory")
         if not 0.0 <= self.dropout_rate * STEP_SECONDS <= 1.0:
             raise ValueError(
                 f"dropout_rate is {self.dropout_rate} a second, "
@@ -72,8 +64,9 @@ class SensingSettings:
                 f"dropout_duration is {self.dropout_duration}, "
                 f"expected {STEP_SECONDS} s or more, and finite"
             )
-        if self.range is not None and not self.range > 0.0:
-            raise ValueError(f"range is {self.range}, expected more than 0, or None")
+        if self.range is not None and not 0.0 < self.range < math.inf:
+            raise ValueError(f"range is {self.range}, expected more than 0 and finite, or None")
+        check_numbers(self)
 
     @property
     def noisy(self) -> bool:
@@ -104,7 +97,7 @@ class ActuatorSettings:
     steering: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_numbers(self, "acceleration", "steering")
+        check_numbers(self)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ def check_numbers(
         if not isinstance(value, int | float):
             continue
         if not 0 <= value < math.inf:
-            raise ValueError(f"{name} is {value}, expected 0 or more")
+            raise ValueError(f"{name} is {value}, expected 0 or more, and finite")
         if name in positive and value == 0:
             raise ValueError(f"{name} is 0, expected more")
         if name in shares and value > 1:

@@ -517,7 +517,8 @@ class MpcConfig(DeadlineSettings):
             self,
             positive={
                 *("horizon", "discs", "slack_curvature", "norm_rounding", "grip"),
-                *("resample_every", "max_iterations", "tolerance", "initial_barrier"),
+                *("resample_every", "max_iterations", "cycle_iterations", "tolerance"),
+                "initial_barrier",
             },
             shares={"far_penalty", "grip"},
         )

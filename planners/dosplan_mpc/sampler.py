@@ -17,7 +17,7 @@ from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath
 from dosplan.types import EGO_HEADING, EGO_SIZE, EGO_STEERING, EGO_VELOCITY, FloatArray, IntArray
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.limits import grip, half_width
+from dosplan_mpc.limits import discomfort, grip, half_width
 from dosplan_mpc.nlp import Guess
 from dosplan_mpc.obstacles import ForbiddenSets
 from dosplan_mpc.reference import PATH_LEFT, PATH_RIGHT, EgoOnPath
@@ -393,13 +393,11 @@ class Sampler:
 
     def _discomfort(self, states: FloatArray) -> FloatArray:
         """(C, N + 1) squares by which accelerations exceed what is comfortable, m2/s4."""
-        comfort, along = self._config.comfort, states[..., PREVIOUS_ACCELERATION]
+        along = states[..., PREVIOUS_ACCELERATION]
         lateral = self._vehicle.lateral_acceleration(
             states[..., EGO_VELOCITY], states[..., EGO_STEERING]
         )
-        beyond = np.maximum(along - comfort.speeding, 0.0) ** 2
-        beyond += np.maximum(-along - comfort.braking, 0.0) ** 2
-        return np.asarray(beyond + np.maximum(np.abs(lateral) - comfort.lateral, 0.0) ** 2)
+        return np.asarray(discomfort(self._config.comfort, along, lateral, np.maximum))
 
     def _slip(self, states: FloatArray) -> FloatArray:
         """(C, N + 1) lateral acceleration beyond the friction circle, as a share of its radius."""

@@ -54,7 +54,7 @@ from dosplan.types import (
 )
 from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.limits import grip, half_width
+from dosplan_mpc.limits import discomfort, grip, half_width
 from dosplan_mpc.shape import STATIONS, disc_offsets
 
 PREVIOUS_ACCELERATION: Final = EGO_SIZE
@@ -309,18 +309,13 @@ def _state_cost(config: MpcConfig, vehicle: VehicleParameters, x: Any, reference
 
 
 def _input_cost(config: MpcConfig, vehicle: VehicleParameters, x: Any, u: Any, dt: float) -> Any:
-    comfort, acceleration = config.comfort, u[ACCELERATION]
-    lateral = _lateral_acceleration(vehicle, x)
-    beyond = (
-        ca.fmax(acceleration - comfort.speeding, 0.0) ** 2
-        + ca.fmax(-acceleration - comfort.braking, 0.0) ** 2
-        + ca.fmax(ca.fabs(lateral) - comfort.lateral, 0.0) ** 2
-    )
+    acceleration, lateral = u[ACCELERATION], _lateral_acceleration(vehicle, x)
+    beyond = discomfort(config.comfort, acceleration, lateral, ca.fmax)
     return 0.5 * (
         config.steering_rate_weight * u[STEERING_RATE] ** 2
         + config.acceleration_weight * acceleration**2
         + config.jerk_weight * ((acceleration - x[PREVIOUS_ACCELERATION]) / dt) ** 2
-        + comfort.weight * beyond
+        + config.comfort.weight * beyond
     )
 
 

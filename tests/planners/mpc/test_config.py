@@ -44,9 +44,10 @@ PARTS = (
 def test_no_number_is_negative_or_not_finite(part: Any) -> None:
     numbers = [f.name for f in fields(part) if isinstance(getattr(part, f.name), int | float)]
     assert numbers
+    said = "expected 0 or more, and finite"
     for name in numbers:
         for wrong in (-1.0, math.nan, math.inf):
-            with pytest.raises(ValueError, match=f"^{name} is {wrong}, expected 0 or more$"):
+            with pytest.raises(ValueError, match=f"^{name} is {wrong}, {said}$"):
                 replace(part, **{name: wrong})
 
 
@@ -54,6 +55,7 @@ def test_no_number_is_negative_or_not_finite(part: Any) -> None:
     ("part", "change", "said"),
     [
         (MpcConfig(), {"horizon": 0}, "horizon is 0, expected more"),
+        (MpcConfig(), {"cycle_iterations": 0}, "cycle_iterations is 0, expected more"),
         (MpcConfig(), {"grip": 1.5}, "grip is 1.5, expected 1 or less"),
         (MpcConfig(), {"far_penalty": 2.0}, "far_penalty is 2.0, expected 1 or less"),
         (GoalSettings(), {"spacing": 0.0}, "spacing is 0, expected more"),

@@ -21,8 +21,11 @@ from .traffic import STEP, Trace
 
 VEHICLE_SIGMA = 2.5
 """Standard deviation of the smoothing of vehicles, steps."""
+VEHICLE_RADIUS = 10
+"""How many steps before and after count in it."""
 PEDESTRIAN_SIGMA = 4.0
 """The same for pedestrians, whose walk SUMO moves sideways in jumps."""
+PEDESTRIAN_RADIUS = 16
 SUBSTEPS = 5
 
 _EGO = VehicleParameters()
@@ -58,15 +61,24 @@ class Motion:
         return self.states[first - self.first : last - self.first + 1]
 
 
-def _smooth(values: FloatArray, sigma: float) -> FloatArray:
-    """Gaussian smoothing along the first axis; the ends go on as they were."""
-    pad = min(int(4 * sigma), len(values) - 1)
+def smooth(values: FloatArray, sigma: float, radius: int) -> FloatArray:
+    """Gaussian smoothing along the first axis; the ends go on as they were.
+
+    Args:
+        values: (K, ...) values, one a step.
+        sigma: Standard deviation, steps.
+        radius: How many steps before and after one count.
+
+    Returns:
+        (K, ...) smoothed values.
+    """
+    pad = min(radius, len(values) - 1)
     if pad == 0:
         return values
     widths = [(pad, pad)] + [(0, 0)] * (values.ndim - 1)
     padded = np.pad(values, widths, mode="reflect", reflect_type="odd")
-    smooth = gaussian_filter1d(padded, sigma, axis=0)[pad:-pad]
-    return np.asarray(smooth, dtype=np.float64)
+    smoothed = gaussian_filter1d(padded, sigma, axis=0, radius=radius)[pad:-pad]
+    return np.asarray(smoothed, dtype=np.float64)
 
 
 def _direction(heading: FloatArray) -> FloatArray:
@@ -87,25 +99,28 @@ def _drag(front: FloatArray, heading: float, length: float) -> FloatArray:
     return np.unwrap(angles)[::SUBSTEPS]
 
 
-def _speed(centre: FloatArray) -> FloatArray:
+def speed_of(centre: FloatArray) -> FloatArray:
+    """(K,) speed of whose centre is at (K, 2) places, m/s, by central differences."""
     return np.asarray(np.linalg.norm(np.gradient(centre, STEP, axis=0), axis=1))
 
 
-def vehicle_motion(trace: Trace) -> Motion:
+def vehicle_motion(trace: Trace, radius: int = VEHICLE_RADIUS) -> Motion:
     """Poses of a vehicle.
 
     Args:
         trace: SUMO's trace of two steps or more.
+        radius: How many steps before and after one have a say in its pose; its velocity has one
+            more.
 
     Returns:
         Its motion.
     """
     length = trace.size[0]
     axle = trace.front - FRONT_OVERHANG * length * _direction(trace.heading)
-    axle = _smooth(axle, VEHICLE_SIGMA)
+    axle = smooth(axle, VEHICLE_SIGMA, radius)
     heading = _drag(axle, float(trace.heading[0]), WHEELBASE * length)
     centre = axle - (WHEELBASE - REAR_TO_CENTRE) * length * _direction(heading)
-    return Motion(trace, np.column_stack([centre, heading, _speed(centre)]))
+    return Motion(trace, np.column_stack([centre, heading, speed_of(centre)]))
 
 
 def pedestrian_motion(trace: Trace) -> Motion:
@@ -117,8 +132,8 @@ def pedestrian_motion(trace: Trace) -> Motion:
     Returns:
         Its motion.
     """
-    centre = _smooth(trace.front, PEDESTRIAN_SIGMA)
-    velocity = _smooth(np.gradient(centre, STEP, axis=0), PEDESTRIAN_SIGMA)
+    centre = smooth(trace.front, PEDESTRIAN_SIGMA, PEDESTRIAN_RADIUS)
+    velocity = smooth(np.gradient(centre, STEP, axis=0), PEDESTRIAN_SIGMA, PEDESTRIAN_RADIUS)
     heading = np.arctan2(velocity[:, 1], velocity[:, 0])
     walking = np.hypot(velocity[:, 0], velocity[:, 1]) > 0.3
     heading[~walking] = np.nan
@@ -130,8 +145,8 @@ def pedestrian_motion(trace: Trace) -> Motion:
         latest = known[
             np.clip(np.searchsorted(known, np.arange(len(heading)), "right") - 1, 0, None)
         ]
-        heading = _smooth(np.unwrap(heading[latest]), PEDESTRIAN_SIGMA)
-    return Motion(trace, np.column_stack([centre, heading, _speed(centre)]))
+        heading = smooth(np.unwrap(heading[latest]), PEDESTRIAN_SIGMA, PEDESTRIAN_RADIUS)
+    return Motion(trace, np.column_stack([centre, heading, speed_of(centre)]))
 
 
 def motions(traces: tuple[Trace, ...]) -> tuple[Motion, ...]:

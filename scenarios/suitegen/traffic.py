@@ -141,7 +141,7 @@ def _draw(rng: Rng, bounds: tuple[float, float]) -> float:
     return float(rng.uniform(*bounds))
 
 
-def _vehicle_type(rng: Rng, root: Element, name: str, kind: str) -> tuple[float, float]:
+def vehicle_type(rng: Rng, root: Element, name: str, kind: str) -> tuple[float, float]:
     """Adds a vehicle type of its own for one driver and returns its size, m."""
     family = KINDS[kind]
     size = (round(_draw(rng, family.length), 3), round(_draw(rng, family.width), 3))
@@ -173,14 +173,25 @@ def _vehicle_type(rng: Rng, root: Element, name: str, kind: str) -> tuple[float,
     return size
 
 
-def _routes(road: Road, rng: Rng) -> tuple[Element, dict[str, tuple[str, float, float]]]:
-    """SUMO's demand file, and kind, length and width of each road user in it."""
+def demand_of(
+    road: Road, rng: Rng, until: float
+) -> tuple[Element, dict[str, tuple[str, float, float]]]:
+    """SUMO's demand of a road.
+
+    Args:
+        road: Road and demand.
+        rng: Draws departures and drivers.
+        until: Time after which nobody departs any more, s.
+
+    Returns:
+        Root of the demand file, and kind, length and width, m, of each road user in it.
+    """
     root = Element("routes")
     users: dict[str, tuple[str, float, float]] = {}
     departures: list[tuple[float, Element]] = []
     for index, spot in enumerate(road.parked):
         name = f"p{index}"
-        users[name] = ("parked", *_vehicle_type(rng, root, f"t{name}", "car"))
+        users[name] = ("parked", *vehicle_type(rng, root, f"t{name}", "car"))
         vehicle = Element(
             "trip",
             {"from": spot.edge, "to": spot.target},
@@ -198,19 +209,19 @@ def _routes(road: Road, rng: Rng) -> tuple[Element, dict[str, tuple[str, float, 
             startPos=f"{spot.position - 0.5:.2f}",
             endPos=f"{spot.position:.2f}",
             posLat=f"{spot.lateral:.2f}",
-            duration=f"{spot.until if spot.until is not None else 10 * RECORD_UNTIL:.1f}",
+            duration=f"{spot.until if spot.until is not None else 10 * until:.1f}",
         )
         departures.append((0.0, vehicle))
     for index, flow in enumerate(road.flows):
         kinds, shares = list(flow.mix), np.array(list(flow.mix.values()))
         time = float(rng.exponential(3600.0 / flow.per_hour))
         serial = 0
-        while time < RECORD_UNTIL:
+        while time < until:
             name = f"v{index}.{serial}"
             kind = str(rng.choice(kinds, p=shares / shares.sum()))
             if kind == "car" and rng.random() < EGO_SHARE:
                 kind = EGO_KIND
-            users[name] = (kind, *_vehicle_type(rng, root, f"t{name}", kind))
+            users[name] = (kind, *vehicle_type(rng, root, f"t{name}", kind))
             vehicle = Element(
                 "trip",
                 {"from": flow.source, "to": flow.target},
@@ -235,7 +246,7 @@ def _routes(road: Road, rng: Rng) -> tuple[Element, dict[str, tuple[str, float, 
     for index, walk in enumerate(road.walks):
         time = float(rng.exponential(3600.0 / walk.per_hour))
         serial = 0
-        while time < RECORD_UNTIL:
+        while time < until:
             name = f"w{index}.{serial}"
             users[name] = ("pedestrian", *PEDESTRIAN_SIZE)
             person = Element("person", id=name, type="walker", depart=f"{time:.2f}")
@@ -265,7 +276,7 @@ def simulate(road: Road, net: Path, folder: Path, rng: Rng) -> Recording:
     Raises:
         RuntimeError: SUMO failed; its message is in the text.
     """
-    root, users = _routes(road, rng)
+    root, users = demand_of(road, rng, RECORD_UNTIL)
     (folder / "demand.rou.xml").write_bytes(tostring(root))
     seed = int(rng.integers(1, 2**31 - 1))
     command = [

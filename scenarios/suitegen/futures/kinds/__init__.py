@@ -1,0 +1,17 @@
+"""The kinds of scenes, a module for a few of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import chain
+from types import MappingProxyType
+
+from suitegen.futures.staging import Kind
+
+from . import leader
+
+MODULES = (leader,)
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {kind.code: kind for kind in chain.from_iterable(module.KINDS for module in MODULES)}
+)
+"""All kinds by their codes."""

@@ -8,6 +8,7 @@ from typing import Final
 
 from dosplan.scenario.commonroad.document import ScenarioError, read_document, read_file
 from dosplan.scenario.sources.catalogue import ScenarioRef, find_scenarios
+from dosplan.scenario.sources.futures import futures_file
 from dosplan.scenario.sources.sumo import configuration_of
 from dosplan.types import Scenario
 
@@ -56,7 +57,13 @@ def load_scenario(ref: ScenarioRef | str | Path, *, cached: bool = False) -> Sce
     else:
         scenario = parse_scenario(ref, content)
     # Not of the file's content, by which the cache knows a scenario.
-    return replace(scenario, sumo=configuration_of(ref.path))
+    scenario = replace(scenario, sumo=configuration_of(ref.path))
+    path = futures_file(ref.path)
+    if path is None:
+        return scenario
+    from dosplan.scenario.futures import with_futures
+
+    return with_futures(scenario, path)
 
 
 def load_recording(ref: ScenarioRef | str | Path) -> Scenario:

@@ -232,7 +232,7 @@ class Scenario:
         problem_id: The CommonRoad planning-problem id.
         dt: Step, s.
         road_map: The map.
-        tracks: The recording, future included.
+        tracks: The recording, future included; where several futures are recorded, future 0.
         task: Start, goal and route of the ego.
         signals: The lights of the map as they are recorded, future included.
         tags: The file's tags (``simulated``, ``highway``, ...).
@@ -241,6 +241,8 @@ class Scenario:
             a simulator has to move: there is no recording.
         sumo: Configuration with which SUMO can drive the traffic, a ``.sumo.cfg`` file; None where
             there is none.
+        futures: The other recorded futures, 1 first, at the steps of ``tracks``. They have the
+            past of ``tracks``, to the last bit, up to and including the ego's start.
     """
 
     id: str
@@ -255,6 +257,39 @@ class Scenario:
     notes: tuple[str, ...] = ()
     interactive: bool = False
     sumo: Path | None = None
+    futures: tuple[Tracks, ...] = ()
+
+    def recorded(self, future: int) -> Tracks:
+        """A recorded future.
+
+        Args:
+            future: Its number, 0 for the recording of the scenario file.
+
+        Returns:
+            All road users, the same object at each call.
+
+        Raises:
+            ShapeError: So many futures are not recorded.
+        """
+        recordings = (self.tracks, *self.futures)
+        if not 0 <= future < len(recordings):
+            raise ShapeError(
+                f"scenario {self.id} has {len(recordings)} recorded "
+                f"future{'s' if self.futures else ''}, and future {future} is asked for; take "
+                "fewer, or put the file of its futures beside it again"
+            )
+        return recordings[future]
+
+    def is_recorded(self, tracks: Tracks) -> bool:
+        """Whether tracks are one of the recorded futures, the very object.
+
+        Args:
+            tracks: Road users as they were driven.
+
+        Returns:
+            Whether all drove as recorded.
+        """
+        return any(tracks is recording for recording in (self.tracks, *self.futures))
 
 
 def place_of(scenario_id: str) -> str:

@@ -1,0 +1,25 @@
+"""The file of a scenario's other futures, by its place (``dosplan.scenario.futures`` reads it)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+FOLDER: Final = "futures"
+"""Folder in which such files lie: beside a scenario file, or beside its folder."""
+
+
+def futures_file(scenario: Path) -> Path | None:
+    """Finds the file that holds the other futures of a scenario.
+
+    Args:
+        scenario: The scenario file, ``NAME.xml`` or ``NAME.xml.gz``.
+
+    Returns:
+        ``NAME.npz`` in a folder ``futures``; None where there is none, and for a file behind a URL.
+    """
+    if not isinstance(scenario, Path) or "://" in str(scenario):
+        return None
+    name = scenario.name.removesuffix(".gz").removesuffix(".xml")
+    folders = (scenario.parent / FOLDER, scenario.parent.parent / FOLDER)
+    return next((file for f in folders if (file := f / f"{name}.npz").is_file()), None)

@@ -1,0 +1,57 @@
+"""Other futures of a recording, for tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dosplan.types import USER_HEADING, USER_VELOCITY, USER_X, USER_Y, RoadUserKind, Tracks
+
+BRAKING = 6.0
+"""Deceleration of who stops, m/s2."""
+
+
+def stopped(tracks: Tracks, name: int, start: int) -> Tracks:
+    """A future in which a road user brakes to a stop, straight on, after ``start``."""
+    row = int(np.flatnonzero(tracks.ids == name)[0])
+    states, valid = np.array(tracks.states), np.array(tracks.valid)
+    x, y, heading, speed = states[row, start]
+    time = 0.1 * np.arange(1, tracks.steps - start)
+    time = np.minimum(time, speed / BRAKING)
+    way = speed * time - 0.5 * BRAKING * time**2
+    states[row, start + 1 :, USER_X] = x + way * np.cos(heading)
+    states[row, start + 1 :, USER_Y] = y + way * np.sin(heading)
+    states[row, start + 1 :, USER_HEADING] = heading
+    states[row, start + 1 :, USER_VELOCITY] = speed - BRAKING * time
+    valid[row, start + 1 :] = True
+    return replace(tracks, states=states, valid=valid)
+
+
+def moved_on(tracks: Tracks, name: int, start: int, x: float) -> Tracks:
+    """A future in which a road user is a little further along x after ``start``."""
+    states = np.array(tracks.states)
+    states[tracks.ids == name, start + 1 :, USER_X] += x
+    return replace(tracks, states=states)
+
+
+def without(tracks: Tracks, name: int, start: int) -> Tracks:
+    """A future in which a road user has left after ``start``."""
+    row = int(np.flatnonzero(tracks.ids == name)[0])
+    states, valid = np.array(tracks.states), np.array(tracks.valid)
+    states[row, start + 1 :], valid[row, start + 1 :] = np.nan, False
+    return replace(tracks, states=states, valid=valid)
+
+
+def appended(tracks: Tracks, name: int, first: int) -> Tracks:
+    """A future in which somebody on foot comes onto the scene at a step, and stays."""
+    states = np.full((1, tracks.steps, 4), np.nan)
+    states[0, first:] = [40.0, -4.0, 1.5, 0.0]
+    return Tracks(
+        ids=np.append(tracks.ids, name),
+        kinds=(*tracks.kinds, RoadUserKind.PEDESTRIAN),
+        size=np.append(tracks.size, [[0.5, 0.5]], axis=0),
+        states=np.concatenate([tracks.states, states]),
+        valid=np.concatenate([tracks.valid, ~np.isnan(states[..., 0])]),
+        outlines=(*tracks.outlines, None),
+    )

@@ -24,7 +24,7 @@ from .networks import ROAD_KINDS
 from .plain import compile_network
 from .selection import Moment, moments
 from .sumo_inputs import sumo_inputs
-from .traffic import simulate
+from .traffic import RECORD_FROM, STEP, simulate
 from .verdict import collision_of_constant_speed
 
 SPLITS = {"suite": 0, "train": 1}
@@ -156,7 +156,15 @@ def build(place: Place, seed: int) -> Built:
                 )
                 if collision is not None:
                     defeat = f"{moment.conflict} {collision}"
-                    sumo = sumo_inputs(place.benchmark_id, net, recording, moment)
+                    start = RECORD_FROM + (moment.first + moment.start) * STEP
+                    sumo = sumo_inputs(
+                        place.benchmark_id,
+                        net,
+                        recording.demand,
+                        recording.seed,
+                        moment.ego.trace.id,
+                        start,
+                    )
                     return _built(place, seed, road_kind, moment, compress(xml), defeat, sumo)
     raise RuntimeError(
         f"{place.benchmark_id}: no interactive moment in {ATTEMPTS} simulations; try another seed"

@@ -11,7 +11,6 @@ from dosplan.scenario.commonroad.drafts import (
     Goal,
     Header,
     LaneletMap,
-    Light,
     ProblemDraft,
     UserDraft,
 )
@@ -49,16 +48,27 @@ def moment_xml(
     Returns:
         The XML.
     """
-    lights = tuple(_shifted(light, moment.first) for light in lanelet_map.lights)
+    begin = round(RECORD_FROM / STEP) + moment.first
     problem = ProblemDraft(moment.drive(), moment.start, moment.goal_first, moment.last, goal)
     header = Header(benchmark_id, source, frozenset({*tags, "simulated"}))
-    return scenario_xml(header, replace(lanelet_map, lights=lights), _users(moment), problem)
+    return scenario_xml(header, with_lights_from(lanelet_map, begin), _users(moment), problem)
 
 
-def _shifted(light: Light, first_step: int) -> Light:
-    """The signal with its cycle counted from step 0, before which SUMO's time 0 lies."""
-    total = sum(steps for _, steps in light.cycle)
-    return replace(light, offset=-(round(RECORD_FROM / STEP) + first_step) % total)
+def with_lights_from(lanelet_map: LaneletMap, begin: int) -> LaneletMap:
+    """A map whose signals count from a file's step 0.
+
+    Args:
+        lanelet_map: The map; the cycles of its signals begin at SUMO's time 0.
+        begin: Steps from then to the file's step 0.
+
+    Returns:
+        The map.
+    """
+    lights = tuple(
+        replace(light, offset=-begin % sum(steps for _, steps in light.cycle))
+        for light in lanelet_map.lights
+    )
+    return replace(lanelet_map, lights=lights)
 
 
 def _stays(motion: Motion, states: FloatArray) -> bool:

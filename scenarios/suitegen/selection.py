@@ -111,9 +111,9 @@ def moments(
         if not (_asks_for_driving(states) and _reaches(states, focus)):
             continue
         first, last = start - history, start + drive + slack
-        others = tuple(m for m in motions if m is not ego and _near(m, ego, first, last))
+        others = tuple(m for m in motions if m is not ego and near(m, ego, first, last))
         conflict = _conflict(ego, start, start + drive, others)
-        if conflict in conflicts and _plausible((ego, *others), first, last):
+        if conflict in conflicts and plausible((ego, *others), first, last):
             yield Moment(
                 ego,
                 others,
@@ -138,7 +138,8 @@ def _reaches(states: FloatArray, focus: Sequence[Point]) -> bool:
     return bool(np.hypot(gaps[..., 0], gaps[..., 1]).min() < FOCUS_RADIUS)
 
 
-def _near(motion: Motion, ego: Motion, first: int, last: int) -> bool:
+def near(motion: Motion, ego: Motion, first: int, last: int) -> bool:
+    """Whether a road user comes as near to the ego as ``SIGHT`` in a window."""
     begin, end = max(motion.first, first), min(motion.last, last)
     if end - begin < 1:
         return False
@@ -198,8 +199,17 @@ def _conflict(ego: Motion, start: int, arrival: int, others: Sequence[Motion]) -
     return "merging" if aside > MERGING_OFFSET else "leading"
 
 
-def _plausible(users: Sequence[Motion], first: int, last: int) -> bool:
-    """Whether no road user overlaps another one, jumps or spins in the window."""
+def plausible(users: Sequence[Motion], first: int, last: int) -> bool:
+    """Whether no road user overlaps another one, jumps or spins in a window.
+
+    Args:
+        users: Road users who are there in a part of it.
+        first: Its first step.
+        last: Its last step.
+
+    Returns:
+        Whether they drive as road users do.
+    """
     for user in users:
         states = user.window(max(user.first, first), min(user.last, last))
         if np.abs(np.diff(states[:, 3])).max(initial=0.0) > MAX_ACCELERATION * STEP:

@@ -14,8 +14,7 @@ from xml.etree.ElementTree import Element, SubElement, parse, tostring
 
 from dosplan.scenario.commonroad.writer import compress
 
-from .selection import Moment
-from .traffic import LATERAL_RESOLUTION, RECORD_FROM, STEP, Recording
+from .traffic import LATERAL_RESOLUTION, STEP
 
 EGO = "egoVehicle"
 START = "dosplan.start"
@@ -23,15 +22,17 @@ START = "dosplan.start"
 
 
 def sumo_inputs(
-    benchmark_id: str, net: Path, recording: Recording, moment: Moment
+    benchmark_id: str, net: Path, demand: Element, seed: int, ego: str, start: float
 ) -> Mapping[str, bytes]:
     """The files of a scenario.
 
     Args:
         benchmark_id: Its id.
         net: Its network, which all scenarios of a geometry share.
-        recording: The simulation.
-        moment: The moment that was chosen of it.
+        demand: Root of the demand that was driven.
+        seed: SUMO's seed.
+        ego: Name of the vehicle in it that became the ego.
+        start: SUMO's time at which the ego starts, s.
 
     Returns:
         Configuration, demand and network, by the names of their files.
@@ -39,8 +40,8 @@ def sumo_inputs(
     geometry = benchmark_id.partition("_T-")[0].rpartition("_")[0]
     net_name, demand_name = f"{geometry}.net.xml.gz", f"{benchmark_id}.rou.xml.gz"
     return {
-        f"{benchmark_id}.sumo.cfg": tostring(_configuration(net_name, demand_name, recording.seed)),
-        demand_name: compress(tostring(_demand(recording.demand, moment))),
+        f"{benchmark_id}.sumo.cfg": tostring(_configuration(net_name, demand_name, seed)),
+        demand_name: compress(tostring(_demand(demand, ego, start))),
         # Parsed for what netconvert writes besides: the date, and where it ran.
         net_name: compress(tostring(parse(net).getroot())),  # noqa: S314 - netconvert wrote it
     }
@@ -63,12 +64,11 @@ def _configuration(net: str, demand: str, seed: int) -> Element:
     return root
 
 
-def _demand(demand: Element, moment: Moment) -> Element:
+def _demand(demand: Element, name: str, start: float) -> Element:
     root = deepcopy(demand)
-    ego = root.find(f"trip[@id='{moment.ego.trace.id}']")
+    ego = root.find(f"trip[@id='{name}']")
     if ego is None:
-        raise RuntimeError(f"{moment.ego.trace.id} is not in the demand")
+        raise RuntimeError(f"{name} is not in the demand")
     ego.set("id", EGO)
-    start = RECORD_FROM + (moment.first + moment.start) * STEP
     SubElement(ego, "param", key=START, value=f"{start:.1f}")
     return root

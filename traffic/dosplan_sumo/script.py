@@ -30,8 +30,8 @@ _OWN_SPEED: Final = -1.0
 """What SUMO is told as the speed of a vehicle that drives as it likes again."""
 OWN_LANES: Final = 1621
 """SUMO's lane change mode of a vehicle that changes lanes as it likes."""
-_TOLD_LANES: Final = 256
-"""The same of one that changes them only as it is told, and into nobody."""
+_TOLD_LANES: Final = 0
+"""The same of one that changes them only as it is told."""
 
 
 class Verb(StrEnum):
@@ -44,8 +44,8 @@ class Verb(StrEnum):
             as that asks, whatever its type brakes like by itself.
         HALT: Brake to a stop at ``value``, m/s2, stand for ``over``, s, and go on by itself.
         FREE: Do as SUMO likes again.
-        LANE: Change to the lane with the index ``value`` from the right, and keep to it for
-            ``over``, s; into nobody, but close before somebody if need be.
+        LANE: Change to the lane with the index ``value`` from the right, whoever is there, and keep
+            to it; as fast sideways as its type goes.
         KEEP: Change no lanes any more.
         ASIDE: Drive ``value``, m, to the left of the lane's middle.
         ROUTE: Go on to another last edge (``edge``).
@@ -218,9 +218,9 @@ class Executor:
                 vehicle.setSpeed(actor, _OWN_SPEED)
             case Verb.LANE:
                 vehicle.setLaneChangeMode(actor, _TOLD_LANES)
-                vehicle.changeLane(actor, int(value), action.over)
+                vehicle.changeSublane(actor, self._way_aside(actor, int(value)))
             case Verb.KEEP:
-                vehicle.setLaneChangeMode(actor, 0)
+                vehicle.setLaneChangeMode(actor, _TOLD_LANES)
             case Verb.ASIDE:
                 vehicle.setLateralAlignment(actor, f"{value:.3f}")
             case Verb.ROUTE:
@@ -233,6 +233,16 @@ class Executor:
             case Verb.WALK | Verb.WAIT:
                 led = self._led.get(actor) or _Led.of(self._sumo, actor)
                 self._led[actor] = led.told(action)
+
+    def _way_aside(self, actor: str, lane: int) -> float:
+        """Way to the left from where a vehicle is to the middle of a lane, m."""
+        vehicle, own = self._sumo.vehicle, int(self._sumo.vehicle.getLaneIndex(actor))
+        edge = vehicle.getRoadID(actor)
+        low, high = min(own, lane), max(own, lane)
+        widths = [self._sumo.lane.getWidth(f"{edge}_{i}") for i in range(low, high + 1)]
+        apart = sum(widths) - 0.5 * (widths[0] + widths[-1])
+        way = apart if lane > own else -apart
+        return float(way - vehicle.getLateralLanePosition(actor))
 
     def _brake(self, actor: str, speed: float, duration: float) -> None:
         vehicle = self._sumo.vehicle

@@ -1,4 +1,4 @@
-"""Builds the embedded scenario suite: ``python scenarios/suite.py --seed 1``.
+"""Builds the scenario suites: ``python scenarios/suite.py --seed 1``.
 
 The same seed gives the same bytes, whatever the folder, the number of processes and the hash
 seed. Needs the extra ``dosplan[suite]`` (SUMO).
@@ -7,16 +7,15 @@ seed. Needs the extra ``dosplan[suite]`` (SUMO).
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 SUMO_VERSION = "1.28.0"
+PACKAGES = ("eclipse-sumo", "sumolib", "libsumo")
 HERE = Path(__file__).resolve().parent
+FOLDERS = {"suite": HERE / "suite", "suite-1": HERE}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -28,12 +27,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit status.
     """
-    parser = argparse.ArgumentParser(description="Build the embedded scenario suite.")
+    parser = argparse.ArgumentParser(description="Build a scenario suite.")
+    parser.add_argument(
+        "--suite",
+        choices=tuple(FOLDERS),
+        default="suite",
+        help="suite: several futures of each past; suite-1: the first suite (default: suite)",
+    )
     parser.add_argument("--seed", type=int, default=1, help="seed of the suite (default: 1)")
     parser.add_argument("--count", type=int, default=150, help="number of scenarios (default: 150)")
-    parser.add_argument(
-        "--out", type=Path, default=HERE, help="folder for what is made (default: here)"
-    )
+    parser.add_argument("--out", type=Path, help="folder for what is made (default: the suite's)")
     parser.add_argument(
         "--split",
         choices=("suite", "train"),
@@ -41,49 +44,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="the suite itself, or other roads and traffic of the same families for training",
     )
     parser.add_argument("--jobs", type=int, default=1, help="processes (default: 1)")
+    parser.add_argument(
+        "--kinds", help="codes of the kinds to make, with commas between; suite only (default: all)"
+    )
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with what was begun in the folder with the same seed and code; suite only",
+    )
     options = parser.parse_args(arguments)
-    try:
-        found = version("eclipse-sumo")
-    except PackageNotFoundError:
-        found = "none"
-    if found != SUMO_VERSION:
-        parser.exit(
-            2,
-            f"suite.py: the suite is made with SUMO {SUMO_VERSION}, found {found}; "
-            f"pip install eclipse-sumo=={SUMO_VERSION} sumolib=={SUMO_VERSION}\n",
-        )
-    build_suite(options.seed, options.count, options.out, options.split, options.jobs)
-    return 0
+    for package in PACKAGES:
+        try:
+            found = version(package)
+        except PackageNotFoundError:
+            found = "none"
+        if found != SUMO_VERSION:
+            parser.exit(
+                2,
+                f"suite.py: the suites are made with {package} {SUMO_VERSION}, found {found}; "
+                f"pip install {' '.join(f'{name}=={SUMO_VERSION}' for name in PACKAGES)}\n",
+            )
+    out = options.out or FOLDERS[options.suite]
+    if options.suite == "suite-1":
+        if options.kinds or options.resume:
+            parser.exit(2, "suite.py: suite-1 has neither --kinds nor --resume; leave them out\n")
+        from suitegen.suite import build_suite as build_first
 
+        build_first(options.seed, options.count, out, options.split, options.jobs)
+        return 0
+    from suitegen.futures.kinds import KINDS
+    from suitegen.futures.suite import build_suite
 
-def build_suite(seed: int, count: int, out: Path, split: str, jobs: int) -> None:
-    """Builds scenarios, their manifest and the table of their recorded drives.
-
-    Args:
-        seed: Seed of the suite.
-        count: Number of scenarios.
-        out: Folder for ``manifest.csv``, ``drives.csv.gz``, ``files/`` and ``sumo-files/``.
-        split: ``suite`` or ``train``.
-        jobs: Number of processes.
-    """
-    from suitegen.build import Place, build, drives_csv
-
-    places = [Place(split, index) for index in range(count)]
-    for folder in ("files", "sumo-files"):
-        (out / folder).mkdir(parents=True, exist_ok=True)
-    suite = []
-    with ProcessPoolExecutor(jobs) as pool:
-        for built in pool.map(partial(build, seed=seed), places):
-            (out / built.row["file"]).write_bytes(built.data)
-            for name, content in built.sumo.items():
-                (out / "sumo-files" / name).write_bytes(content)
-            suite.append(built)
-            print(f"{built.row['id']}  {len(built.data) / 1000:.0f} kB", flush=True)
-    (out / "drives.csv.gz").write_bytes(drives_csv(suite))
-    with (out / "manifest.csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, fieldnames=list(suite[0].row), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(built.row for built in suite)
+    kinds = options.kinds.split(",") if options.kinds else list(KINDS)
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
+        parser.exit(2, f"suite.py: no kind {unknown[0]}; there are {', '.join(KINDS)}\n")
+    whole = build_suite(
+        options.seed, options.count, out, options.split, kinds, options.jobs, options.resume
+    )
+    return 0 if whole else 1
 
 
 if __name__ == "__main__":

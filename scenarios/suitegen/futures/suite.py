@@ -1,0 +1,121 @@
+"""The suite as a whole: its scenarios, manifest and drives."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+import numpy as np
+
+from suitegen.futures.build import Built, Place, build, drives_csv, places
+
+UNFINISHED = "unfinished"
+"""Folder for what is kept of each scenario until all are there."""
+
+
+def build_suite(
+    seed: int,
+    count: int,
+    out: Path,
+    split: str,
+    kinds: Sequence[str],
+    jobs: int,
+    resume: bool,
+) -> bool:
+    """Builds scenarios, their manifest and the table of their drives.
+
+    Args:
+        seed: Seed of the suite.
+        count: Number of scenarios.
+        out: Folder for ``manifest.csv``, ``drives.csv.gz``, ``files/``, ``futures/`` and
+            ``sumo-files/``.
+        split: ``suite`` or ``train``.
+        kinds: Codes of the kinds, which take turns.
+        jobs: Number of processes.
+        resume: Whether to keep scenarios that an earlier run made in the folder and was cut off.
+
+    Returns:
+        Whether all were made. If not, a later run that resumes can have another try.
+    """
+    unfinished = out / UNFINISHED
+    if not resume:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.mkdir(parents=True, exist_ok=True)
+    wanted = places(split, count, kinds)
+    made = {place: built for place in wanted if (built := _kept(unfinished, place, seed))}
+    failed = 0
+    left = [place for place in wanted if place not in made]
+    for place, result in _built(left, seed, jobs):
+        try:
+            built = result.result()
+        except RuntimeError as error:
+            failed += 1
+            print(f"{error}", flush=True)
+            continue
+        for name, content in built.files.items():
+            (out / name).parent.mkdir(exist_ok=True)
+            (out / name).write_bytes(content)
+        _keep(unfinished, built)
+        made[place] = built
+        size = sum(len(content) for content in built.files.values())
+        rejected = sum(built.rejected.values())
+        print(f"{place.benchmark_id}  {size / 1000:.0f} kB  {rejected} rejected", flush=True)
+    _print_rejections(made)
+    if failed:
+        return False
+    suite = [made[place] for place in wanted]
+    (out / "drives.csv.gz").write_bytes(drives_csv(suite))
+    with (out / "manifest.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, fieldnames=list(suite[0].row), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(built.row for built in suite)
+    shutil.rmtree(unfinished)
+    return True
+
+
+def _built(wanted: Sequence[Place], seed: int, jobs: int) -> Iterator[tuple[Place, Future[Built]]]:
+    """Scenarios as they are finished."""
+    with ProcessPoolExecutor(jobs) as pool:
+        running = {pool.submit(build, place, seed): place for place in wanted}
+        for result in as_completed(running):
+            yield running[result], result
+
+
+def _keep(folder: Path, built: Built) -> None:
+    """Keeps what the manifest and the table of drives need of a scenario."""
+    content = {
+        "row": built.row,
+        "drives": [drive.tolist() for drive in built.drives],
+        "start": built.start,
+        "rejected": built.rejected,
+    }
+    (folder / f"{built.row['id']}.json").write_text(json.dumps(content), encoding="utf-8")
+
+
+def _kept(folder: Path, place: Place, seed: int) -> Built | None:
+    """What was kept of a scenario, without its files; None where it was not made."""
+    path = folder / f"{place.benchmark_id}.json"
+    if not path.is_file():
+        return None
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if content["row"]["source"] != place.source(seed):
+        return None
+    drives = tuple(np.array(drive) for drive in content["drives"])
+    return Built({}, content["row"], drives, content["start"], Counter(content["rejected"]))
+
+
+def _print_rejections(made: dict[Place, Built]) -> None:
+    """Prints how many scenes were rejected, by kind and reason."""
+    reasons: defaultdict[str, Counter[str]] = defaultdict(Counter)
+    for place, built in made.items():
+        reasons[place.kind] += built.rejected
+    for kind, counts in reasons.items():
+        total = sum(counts.values())
+        print(f"{kind}: {total} rejected")
+        for reason, number in counts.most_common():
+            print(f"  {number:5d}  {reason}")

@@ -1,0 +1,38 @@
+"""The first suite as a whole."""
+
+from __future__ import annotations
+
+import csv
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+
+from .build import Place, build, drives_csv
+
+
+def build_suite(seed: int, count: int, out: Path, split: str, jobs: int) -> None:
+    """Builds scenarios, their manifest and the table of their recorded drives.
+
+    Args:
+        seed: Seed of the suite.
+        count: Number of scenarios.
+        out: Folder for ``manifest.csv``, ``drives.csv.gz``, ``files/`` and ``sumo-files/``.
+        split: ``suite`` or ``train``.
+        jobs: Number of processes.
+    """
+    places = [Place(split, index) for index in range(count)]
+    for folder in ("files", "sumo-files"):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+    suite = []
+    with ProcessPoolExecutor(jobs) as pool:
+        for built in pool.map(partial(build, seed=seed), places):
+            (out / built.row["file"]).write_bytes(built.data)
+            for name, content in built.sumo.items():
+                (out / "sumo-files" / name).write_bytes(content)
+            suite.append(built)
+            print(f"{built.row['id']}  {len(built.data) / 1000:.0f} kB", flush=True)
+    (out / "drives.csv.gz").write_bytes(drives_csv(suite))
+    with (out / "manifest.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, fieldnames=list(suite[0].row), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(built.row for built in suite)

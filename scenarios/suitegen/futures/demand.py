@@ -95,6 +95,8 @@ def _type_of(actor: Actor, root: Element, rng: Rng) -> tuple[str, float, float]:
         size = actor.size
     made.set("length", f"{size[0]:.3f}")
     made.set("width", f"{size[1]:.3f}")
+    # SUMO draws a deviation from the speed factor of a type unless it is told not to.
+    made.set("speedDev", "0.00")
     for key, value in actor.driver.items():
         made.set(key, value)
     return actor.kind, size[0], size[1]

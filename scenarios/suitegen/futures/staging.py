@@ -68,8 +68,8 @@ class Actor:
         lane: Index from the right; sidewalks and cycle lanes count.
         lateral: Its middle, to the left of the lane's middle, m.
         stops: Where it stands.
-        at: Where somebody on foot stands, m; None for vehicles.
-        facing: A point that somebody on foot looks at, m, or None.
+        at: Where somebody stands free of lanes, m: people, and who is led from there; or None.
+        facing: A point that it looks at, m, or None.
         size: Length and width, m; None for one that is drawn by the kind.
         driver: Attributes of SUMO's vehicle type, which replace those that are drawn.
     """

@@ -210,22 +210,35 @@ def plausible(users: Sequence[Motion], first: int, last: int) -> bool:
     Returns:
         Whether they drive as road users do.
     """
-    for user in users:
-        states = user.window(max(user.first, first), min(user.last, last))
-        if np.abs(np.diff(states[:, 3])).max(initial=0.0) > MAX_ACCELERATION * STEP:
-            return False
-        turn = np.abs(np.diff(states[:, 2])).max(initial=0.0)
-        if user.trace.kind != "pedestrian" and turn > MAX_YAW_RATE * STEP:
-            return False
-    steps = range(first, last + 1)
+    odd = any(leaps(user, first, last) or spins(user, first, last) for user in users)
+    return not odd and overlapping(users, first, last) is None
+
+
+def leaps(user: Motion, first: int, last: int) -> bool:
+    """Whether a road user changes its speed in a window as none can."""
+    states = user.window(max(user.first, first), min(user.last, last))
+    return bool(np.abs(np.diff(states[:, 3])).max(initial=0.0) > MAX_ACCELERATION * STEP)
+
+
+def spins(user: Motion, first: int, last: int) -> bool:
+    """Whether a vehicle turns in a window as none can."""
+    states = user.window(max(user.first, first), min(user.last, last))
+    turn = np.abs(np.diff(states[:, 2])).max(initial=0.0)
+    return bool(user.trace.kind != "pedestrian" and turn > MAX_YAW_RATE * STEP)
+
+
+def overlapping(users: Sequence[Motion], first: int, last: int) -> tuple[Motion, Motion] | None:
+    """Two road users who are in the same place at a step of a window; None where nobody is."""
     present = [(u, _boxes(u, max(u.first, first), min(u.last, last))) for u in users]
-    for step in steps:
-        shapes = [
-            boxes[step - max(user.first, first)]
+    for step in range(first, last + 1):
+        here = [
+            (user, boxes[step - max(user.first, first)])
             for user, boxes in present
             if user.first <= step <= user.last
         ]
-        pairs = shapely.STRtree(shapes).query(shapes, predicate="intersects")
-        if pairs.shape[1] > len(shapes):
-            return False
-    return True
+        shapes = [shape for _, shape in here]
+        one, other = shapely.STRtree(shapes).query(shapes, predicate="intersects")
+        for a, b in zip(one, other, strict=True):
+            if a != b:
+                return here[a][0], here[b][0]
+    return None

@@ -17,7 +17,7 @@ from suitegen.futures.simulate import RejectedError, Simulated
 from suitegen.futures.staging import EGO, PARKED
 from suitegen.motion import Motion
 from suitegen.roads import Rng
-from suitegen.selection import HISTORY, near, plausible
+from suitegen.selection import HISTORY, leaps, near, overlapping, spins
 
 LATEST_ARRIVAL = 5
 """Steps at least between the stand-in's arrival and the end of the recording."""
@@ -80,8 +80,7 @@ def scene_of(simulated: Simulated, goal_size: tuple[float, float], rng: Rng) -> 
         {name: motion for name, motion in future.items() if name in kept} for future in driven
     )
     for future in futures:
-        if not plausible(_present(future, first, simulated.last), first, simulated.last):
-            raise RejectedError("somebody overlaps, leaps or spins")
+        _check(future, first, simulated.last)
     drives = tuple(_drive(future[EGO], simulated, goal_size) for future in futures)
     resting = frozenset(
         name
@@ -91,8 +90,19 @@ def scene_of(simulated: Simulated, goal_size: tuple[float, float], rng: Rng) -> 
     return Scene(futures, resting, drives, first, simulated.start - first, simulated.last - first)
 
 
-def _present(future: Mapping[str, Motion], first: int, last: int) -> tuple[Motion, ...]:
-    return tuple(m for m in future.values() if m.first < last and m.last > first)
+def _check(future: Mapping[str, Motion], first: int, last: int) -> None:
+    """Rejects what no road user does."""
+    users = [m for m in future.values() if m.first < last and m.last > first]
+    for user in users:
+        who = "the stand-in" if user.trace.id == EGO else f"a {user.trace.kind}"
+        if leaps(user, first, last):
+            raise RejectedError(f"{who} leaps, or brakes as none can")
+        if spins(user, first, last):
+            raise RejectedError(f"{who} spins")
+    pair = overlapping(users, first, last)
+    if pair is not None:
+        ego = EGO in (pair[0].trace.id, pair[1].trace.id)
+        raise RejectedError("the stand-in collides" if ego else "two others overlap")
 
 
 def _rests(motion: Motion, first: int, last: int) -> bool:

@@ -206,6 +206,13 @@ def sample_pasts_of(
         made = [create_traffic(traffic, seed, future=future) for future in range(futures)]
         if (why := made[0].refuses(scenario)) is not None:
             raise ScenarioError(ref.path, why)
+        count = made[0].futures_of(ref.path)
+        if count is not None and count < futures:
+            raise ScenarioError(
+                ref.path,
+                f"has {count} recorded future{'s' if count > 1 else ''}, and {futures} are asked "
+                "for; lower --futures, or choose a traffic that has more",
+            )
         return sample_pasts(scenario, predictors, made)
 
     return samples_or_reason(ref, measure)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -160,15 +160,18 @@ def traffic_contract(
             )
         return drive_traffic(traffic, scene, braking)
 
+    # What replays has the futures that are recorded.
+    several = made_by.has_futures and (not made_by.as_recorded or len(scene.futures) > 0)
+    futures = (0, 1) if several else (0,)
     drives = "begin gives the past, step the road users of the next step, as RoadUsers"
     rules = [
         Rule("versioned_name", lambda: _versioned(build())),
-        Rule("deterministic", lambda: _deterministic(drive, made_by)),
+        Rule("deterministic", lambda: _deterministic(drive, futures)),
         Rule("begin_forgets", lambda: _forgets(build(), scene, drive)),
-        Rule("one_past", lambda: _one_past(drive, made_by)),
+        Rule("one_past", lambda: _one_past(drive, futures)),
         Rule("input_untouched", lambda: _keeps_input(drive())),
         Rule("ids_kept", lambda: _keeps_ids(drive(), scene.dt)),
-        Rule("as_recorded", lambda: _as_recorded(drive(braking=5.0), scene, made_by)),
+        Rule("as_recorded", lambda: _as_recorded(drive, futures, scene, made_by)),
         Rule("time", lambda: _in_time(drive())),
     ]
     if scenario is None:
@@ -200,8 +203,8 @@ def _versioned(traffic: Traffic) -> None:
         check_version(traffic)
 
 
-def _deterministic(drive: _Drive, made_by: type[Traffic]) -> None:
-    for future in (0, 1) if made_by.has_futures else (0,):
+def _deterministic(drive: _Drive, futures: Sequence[int]) -> None:
+    for future in futures:
         if not _same(drive(future), drive(future)):
             raise BrokenError(
                 f"two instances with the same seed differ in future {future}; draw every random "
@@ -218,8 +221,8 @@ def _forgets(used: Traffic, scene: Scenario, drive: _Drive) -> None:
         )
 
 
-def _one_past(drive: _Drive, made_by: type[Traffic]) -> None:
-    if made_by.has_futures and _changed(drive(0).past, drive(1).past):
+def _one_past(drive: _Drive, futures: Sequence[int]) -> None:
+    if _changed(drive(futures[0]).past, drive(futures[-1]).past):
         raise BrokenError("begin() gives futures another past; they may differ from then on only")
 
 
@@ -245,10 +248,16 @@ def _keeps_ids(trace: TrafficTrace, dt: float) -> None:
         places = found
 
 
-def _as_recorded(trace: TrafficTrace, scene: Scenario, made_by: type[Traffic]) -> None:
+def _as_recorded(
+    drive: _Drive, futures: Sequence[int], scene: Scenario, made_by: type[Traffic]
+) -> None:
     if not made_by.as_recorded:
         return
-    start, tracks = scene.task.start_step, scene.tracks
+    for future in futures:
+        _check_recorded(drive(future, braking=5.0), scene.recorded(future), scene.task.start_step)
+
+
+def _check_recorded(trace: TrafficTrace, tracks: Tracks, start: int) -> None:
     for step, users in enumerate(trace.users, start + 1):
         valid = tracks.valid[:, step] if step < tracks.steps else np.zeros(len(tracks.ids), bool)
         rows = np.flatnonzero(valid)

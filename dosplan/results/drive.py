@@ -127,7 +127,7 @@ class Drive:
             FileError: The scenario file that holds them is not there any more.
         """
         known = self.known_tracks
-        return self.scenario.tracks if known is None else known
+        return self.scenario.recorded(self.recording.future) if known is None else known
 
     @property
     def signals(self) -> Signals:

@@ -233,8 +233,11 @@ class Recording:
 
         Returns:
             Their tracks, aligned with the scenario's steps.
+
+        Raises:
+            ShapeError: They drove as recorded in a future that the scenario does not have.
         """
-        return scenario.tracks if self.tracks is None else self.tracks
+        return scenario.recorded(self.future) if self.tracks is None else self.tracks
 
     @classmethod
     def of(cls, scenario: Scenario, episode: Episode) -> Self:
@@ -261,7 +264,7 @@ class Recording:
             future=episode.future,
             loop=episode.loop,
             sightings=episode.sightings,
-            tracks=None if episode.tracks is scenario.tracks else episode.tracks,
+            tracks=None if scenario.is_recorded(episode.tracks) else episode.tracks,
             end=episode.end,
             error=episode.error,
             cycle_steps=episode.cycle_steps,

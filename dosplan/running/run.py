@@ -45,6 +45,7 @@ from dosplan.running.job import EpisodeResult, Task, make_plugins
 from dosplan.running.progress import Observer
 from dosplan.scenario import ScenarioRef, find_scenarios
 from dosplan.scenario.sources.catalogue import find_ids
+from dosplan.scenario.sources.futures import futures_file
 from dosplan.scenario.sources.selection import matching, sampled
 from dosplan.scoring.score import failed_score
 from dosplan.simulation.settings import loop_name
@@ -85,11 +86,12 @@ def run(
         RunError: The run may not start or cannot go on, or its folder holds another one, or one
             of more scenarios.
         RegistryError: A plug-in cannot be found or built, or an option is wrong.
-        ScenarioError: There are no scenarios.
+        ScenarioError: There are no scenarios, or a file of futures is damaged.
         SelectionError: Nothing is left of the choice among them.
         FileError: A result cannot be written.
     """
     refs = _chosen(config)
+    _check_futures(config, refs)
     folder = RunFolder(config.out)
     wanted = _manifest(config, refs)
     _open_folder(folder, wanted, refs)
@@ -123,6 +125,24 @@ def _chosen(config: RunConfig) -> list[ScenarioRef]:
     if config.sample is not None:
         refs = sampled(refs, config.sample, config.seed)
     return refs[: config.limit]
+
+
+def _check_futures(config: RunConfig, refs: Sequence[ScenarioRef]) -> None:
+    """Refuses a run of more futures than the traffic has for one of its scenarios."""
+    if config.futures == 1:
+        return
+    traffic: type[Traffic] = choose_plugin(
+        PluginKind.TRAFFIC, config.traffic, config.traffic_options
+    ).plugin
+    few = {ref: count for ref in refs if (count := traffic.futures_of(ref.path)) is not None}
+    few = {ref: count for ref, count in few.items() if count < config.futures}
+    if few:
+        ref, count = next(iter(few.items()))
+        raise RunError(
+            f"futures is {config.futures}, and the traffic {traffic.name} has {count} for "
+            f"{len(few)} of the {len(refs)} scenarios, as {ref.id}, of which no more are "
+            "recorded; lower --futures, or choose a traffic that has more"
+        )
 
 
 def _executor(config: RunConfig) -> Executor:
@@ -348,9 +368,11 @@ def _check_same(
 
 
 def _files(traffic: type[Traffic], refs: Iterable[ScenarioRef]) -> Iterator[Path]:
-    """The files of scenarios, each with those that the traffic reads besides."""
+    """The files of scenarios, each with its futures and those that the traffic reads besides."""
     for ref in refs:
         yield ref.path
+        if (futures := futures_file(ref.path)) is not None:
+            yield futures
         yield from traffic.reads(ref.path)
 
 

@@ -17,7 +17,6 @@ from dosplan.types import (
     USER_VELOCITY,
     FloatArray,
     RoadUserKind,
-    Scenario,
     Tracks,
 )
 from dosplan.vehicle import VehicleParameters
@@ -113,7 +112,9 @@ def cut_in_demand(
     return None
 
 
-def imposed_braking(scenario: Scenario, tracks: Tracks, start: int, last: int) -> float | None:
+def imposed_braking(
+    recorded: Tracks, tracks: Tracks, start: int, last: int, dt: float
+) -> float | None:
     """The hardest braking that the ego's presence asked of anybody.
 
     A road user that drives along its recorded path is slowed over half a second; what it was
@@ -121,17 +122,17 @@ def imposed_braking(scenario: Scenario, tracks: Tracks, start: int, last: int) -
     recorded to be are not slowed.
 
     Args:
-        scenario: The scenario with its recording.
+        recorded: The recorded future that they began with.
         tracks: The road users as they were driven.
         start: First step that is looked at.
         last: Last step that is looked at.
+        dt: Step, s.
 
     Returns:
         m/s2, 0 where nobody was slowed. None where it cannot be told from other things: all drive
         as recorded whatever comes, no step was driven, or most are off the recording a step after
         the start already, as they have intentions of their own.
     """
-    recorded = scenario.tracks
     if tracks is recorded or last <= start:
         return None
     rows = {int(name): row for row, name in enumerate(recorded.ids)}
@@ -146,7 +147,7 @@ def imposed_braking(scenario: Scenario, tracks: Tracks, start: int, last: int) -
         return None
     pairs = zip(own, was.tolist(), strict=True)
     return max(
-        (_slowed(tracks, i, recorded, j, start, last, scenario.dt) for i, j in pairs),
+        (_slowed(tracks, i, recorded, j, start, last, dt) for i, j in pairs),
         default=0.0,
     )
 

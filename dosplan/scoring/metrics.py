@@ -234,7 +234,10 @@ def _imposed_braking(part: ScoredPart) -> float | None:
     """How hard others had to brake for the ego; None where that cannot be told."""
     start = part.episode.start_step
     last = min(start + len(part.states), part.tracks.steps) - 1
-    return imposed_braking(part.scenario, part.tracks, start, last)
+    scenario, future = part.scenario, part.episode.future
+    # Where a traffic has more futures than are recorded, they are of its own making.
+    recorded = scenario.recorded(future if future <= len(scenario.futures) else 0)
+    return imposed_braking(recorded, part.tracks, start, last, scenario.dt)
 
 
 def _of_cycles(

@@ -295,7 +295,7 @@ def _cuts_in(
     contact: Contact, scenario: Scenario, tracks: Tracks, ego: FloatArray, start: int
 ) -> bool:
     """Whether a follower that reacts could not help running into an ego that came in its way."""
-    if tracks is scenario.tracks:  # Nobody reacts: a recording runs into the ego in any case.
+    if scenario.is_recorded(tracks):  # Nobody reacts: a recording runs into the ego in any case.
         return False
     demand = cut_in_demand(contact, tracks, ego, scenario.task.vehicle, start, scenario.dt)
     return demand is not None and demand > CUT_IN_BRAKING

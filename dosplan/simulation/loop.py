@@ -141,7 +141,9 @@ def run_episode(
     )
 
 
-def known_drive(scenario: Scenario, arm: Arm, start_step: int, states: FloatArray) -> Episode:
+def known_drive(
+    scenario: Scenario, arm: Arm, start_step: int, states: FloatArray, future: int = 0
+) -> Episode:
     """A drive that is known by its states alone, such as a recorded one, ready to be scored.
 
     Args:
@@ -149,6 +151,7 @@ def known_drive(scenario: Scenario, arm: Arm, start_step: int, states: FloatArra
         arm: Arm that the row is to name.
         start_step: Step of the first state.
         states: (K + 1, 5) ego states.
+        future: The recorded future that the drive met.
 
     Returns:
         An episode without planning cycles and with zeros for the inputs, which are not known.
@@ -159,7 +162,8 @@ def known_drive(scenario: Scenario, arm: Arm, start_step: int, states: FloatArra
         start_step=start_step,
         states=states,
         inputs=np.zeros((len(states) - 1, 2)),
-        tracks=scenario.tracks,
+        tracks=scenario.recorded(future),
+        future=future,
         end=EpisodeEnd.TIME_OVER,
         predict_seconds=np.zeros(0),
         plan_seconds=np.zeros(0),
@@ -196,7 +200,7 @@ def _drive(
                     f"it is shown the recording, which the traffic {world.traffic.name} departs "
                     "from; choose another predictor, or the traffic replay"
                 )
-            predictor.reveal(scenario.tracks)
+            predictor.reveal(scenario.recorded(world.traffic.future))
         predictor.reset(task, scenario.road_map)
     with _named_failure("planner", planner):
         planner.reset(task, scenario.road_map, task.vehicle)

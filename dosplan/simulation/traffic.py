@@ -17,6 +17,7 @@ import numpy as np
 
 from dosplan.api import NoSettings
 from dosplan.scenario import INTERACTIVE
+from dosplan.scenario.futures import count_futures
 from dosplan.types import (
     USER_SIZE,
     FloatArray,
@@ -76,8 +77,9 @@ class Traffic(ABC):
         name: Name that goes into results; a changed behaviour is a new name.
         settings: The frozen dataclass of its options; the constructor takes an instance of it.
         as_recorded: Whether all drive as recorded, whatever the ego does. The tracks of an
-            episode are then those of the scenario, and only then may a predictor be shown them. A
-            subclass does not inherit it, as it may depart from the recording.
+            episode are then those of the scenario's recorded future of that number, and only then
+            may a predictor be shown them. A subclass does not inherit it, as it may depart from
+            the recording.
         has_futures: Whether the future number changes what comes; only then may a run ask for
             several. A subclass does not inherit it, as it may drive one future only.
     """
@@ -120,6 +122,21 @@ class Traffic(ABC):
             default, a scenario is refused of which nothing is recorded.
         """
         return INTERACTIVE if scenario.interactive else None
+
+    @classmethod
+    def futures_of(cls, scenario: Path) -> int | None:
+        """Tells how many futures it has for a scenario; asked before a run of several.
+
+        Args:
+            scenario: The scenario file.
+
+        Returns:
+            Their number; None, as by default, where it has any number.
+
+        Raises:
+            ScenarioError: A file that tells it is damaged.
+        """
+        return None
 
     @classmethod
     def reads(cls, scenario: Path) -> Iterable[Path]:
@@ -192,10 +209,11 @@ class Traffic(ABC):
 
 
 class Replay(Traffic):
-    """All drive as recorded; the scene is empty once the recording has ended."""
+    """All drive as recorded in that future; the scene is empty once the recording has ended."""
 
     name = "replay"
     as_recorded = True
+    has_futures = True
 
     def __init__(
         self, *, seed: int = 0, settings: NoSettings = NoSettings(), future: int = 0
@@ -205,10 +223,25 @@ class Replay(Traffic):
         Args:
             seed: Seed of the run.
             settings: There are none.
-            future: Not used: what is recorded is the only future.
+            future: Which of the scenario's recorded futures is driven.
         """
         super().__init__(seed=seed, settings=settings, future=future)
         self._recording = empty_tracks(0)
+
+    @classmethod
+    def futures_of(cls, scenario: Path) -> int:
+        """Counts the futures that are recorded of a scenario.
+
+        Args:
+            scenario: The scenario file.
+
+        Returns:
+            How many there are; 1 where it has no other than its recording.
+
+        Raises:
+            ScenarioError: The file of the others is damaged.
+        """
+        return count_futures(scenario)
 
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:
         """Begins an episode.
@@ -219,8 +252,11 @@ class Replay(Traffic):
 
         Returns:
             What is recorded until then.
+
+        Raises:
+            ShapeError: The scenario has not so many recorded futures.
         """
-        tracks = self._recording = scenario.tracks
+        tracks = self._recording = scenario.recorded(self.future)
         begun = slice(0, first_step + 1)
         seen = np.flatnonzero(tracks.valid[:, begun].any(axis=1))
         after = max(first_step + 1 - tracks.steps, 0)  # Steps for which nothing is recorded.

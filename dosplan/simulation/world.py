@@ -120,7 +120,9 @@ class World:
 
         Where all drive as recorded, this is the recording, which may go on beyond now.
         """
-        return self.scenario.tracks if self.traffic.as_recorded else self._others.tracks(self.now)
+        if self.traffic.as_recorded:
+            return self.scenario.recorded(self.traffic.future)
+        return self._others.tracks(self.now)
 
     @property
     def signals(self) -> Signals | None:

@@ -17,6 +17,7 @@ from dosplan.plugins.traffic_conformance import check_traffic
 from dosplan.scenario.synthetic import busy_scenario
 from dosplan.simulation.traffic import Replay, RoadUsers, Traffic
 from dosplan.types import FloatArray, Scenario, Tracks
+from tests.support.futures import stopped
 from tests.support.traffic import ShyTraffic
 
 FILE_BOUND = "sumo"  # It drives what has files of SUMO; its own tests check it there.
@@ -35,6 +36,10 @@ class Good(Replay):
     """A replay that does not say that it is one; the bad ones below each break one rule."""
 
     name = "good-v1"
+
+    def begin(self, scenario: Scenario, first_step: int) -> Tracks:
+        both = replace(scenario, futures=(scenario.tracks,))  # As a replay of either future.
+        return super().begin(both, first_step)
 
 
 class NoFuture(Good):
@@ -205,3 +210,22 @@ def test_a_name_of_two_kinds_has_to_be_told_apart(capsys: pytest.CaptureFixture[
     assert main(["check", "reactive"]) == BAD_INPUT
     assert "reactive is a planner and a traffic" in capsys.readouterr().err
     assert main(["check", "reactive", "--kind", "traffic"]) == OK
+
+
+def test_a_replay_is_checked_in_all_futures_of_a_scenario() -> None:
+    scene = busy_scenario()
+    scene = replace(scene, futures=(stopped(scene.tracks, 100, scene.task.start_step),))
+    assert check_traffic(Replay, scene).failures == ()
+
+    class FirstOnly(Replay):
+        """It says that it has futures, and drives the first one always."""
+
+        name = "first-only-v1"
+        as_recorded = True
+        has_futures = True
+
+        def begin(self, scenario: Scenario, first_step: int) -> Tracks:
+            return super().begin(replace(scenario, futures=(scenario.tracks,)), first_step)
+
+    found = {check.name: check.message for check in check_traffic(FirstOnly, scene).failures}
+    assert "departs from the recording" in found["as_recorded"]

@@ -163,7 +163,7 @@ def test_the_command_measures_over_futures(
     ("options", "message"),
     [
         (["--futures", "5"], "--futures needs a --traffic"),
-        (["--futures", "5", "--traffic", "replay"], "the traffic replay has one future only"),
+        (["--futures", "5", "--traffic", "replay"], "has 1 recorded future, and 5 are asked for"),
         (["--futures", "0", "--traffic", "{traffic}"], "futures is 0"),
         (["--futures", "5", "--traffic", "{traffic}", "--level", "1"], "level is 1.0"),
         (["--futures", "5", "--traffic", "{traffic}", "--every", "5"], "--every does not go with"),

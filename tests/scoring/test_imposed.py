@@ -118,8 +118,8 @@ def slowed(scenario: Scenario, from_step: int, braking: float) -> Tracks:
 def test_braking_that_is_not_recorded_is_imposed() -> None:
     scenario = straight_scenario(steady_tracks([[-20.0, 0.0, 0.0, 10.0]], steps=STEPS))
     tracks = slowed(scenario, 10, 3.0)
-    assert imposed_braking(scenario, tracks, 0, STEPS - 1) == pytest.approx(3.0)
-    assert imposed_braking(scenario, tracks, 0, 9) == 0.0
+    assert imposed_braking(scenario.tracks, tracks, 0, STEPS - 1, DT) == pytest.approx(3.0)
+    assert imposed_braking(scenario.tracks, tracks, 0, 9, DT) == 0.0
 
 
 def test_what_is_recorded_to_brake_at_a_place_is_not_imposed_there() -> None:
@@ -131,17 +131,17 @@ def test_what_is_recorded_to_brake_at_a_place_is_not_imposed_there() -> None:
     states[0, 25:] = recorded.states[0, 5:-20]
     states[0, 5:25] = recorded.states[0, 5]
     late = replace(recorded, states=states)
-    assert imposed_braking(scenario, late, 0, STEPS - 1) == pytest.approx(0.0, abs=1e-9)
+    assert imposed_braking(scenario.tracks, late, 0, STEPS - 1, DT) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_there_is_none_where_it_cannot_be_told() -> None:
     scenario = straight_scenario(steady_tracks([[-20.0, 0.0, 0.0, 10.0]], steps=STEPS))
-    assert imposed_braking(scenario, scenario.tracks, 0, 20) is None
+    assert imposed_braking(scenario.tracks, scenario.tracks, 0, 20, DT) is None
     tracks = slowed(scenario, 0, 1.0)  # It is off the recording at once, before it can have seen.
-    assert imposed_braking(scenario, tracks, 0, 20) is None
+    assert imposed_braking(scenario.tracks, tracks, 0, 20, DT) is None
     others = replace(scenario.tracks, ids=scenario.tracks.ids + 50)
-    assert imposed_braking(scenario, others, 0, 20) is None
-    assert imposed_braking(scenario, slowed(scenario, 10, 1.0), 0, 0) is None
+    assert imposed_braking(scenario.tracks, others, 0, 20, DT) is None
+    assert imposed_braking(scenario.tracks, slowed(scenario, 10, 1.0), 0, 0, DT) is None
 
 
 def test_rows_say_it_of_traffic_that_reacts_and_of_no_other() -> None:

@@ -11,6 +11,7 @@ All decide at the same time from what there was a step before (the ego included)
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -67,11 +68,28 @@ class ReactiveTraffic(Traffic):
         Args:
             seed: Seed of the run.
             settings: The options.
-            future: Which continuation is driven; 0 is the recorded one.
+            future: Which continuation is driven. The recorded one of that number, where several
+                are recorded; else, 0 is the recorded one, and others have drawn intentions.
         """
         super().__init__(seed=seed, settings=settings, future=future)
         self.chosen = settings
         self._paths = Paths(empty_tracks(0))
+
+    @classmethod
+    def futures_of(cls, scenario: Path) -> int | None:
+        """Counts the futures that it has for a scenario.
+
+        Args:
+            scenario: The scenario file.
+
+        Returns:
+            Those that are recorded, where these are several; else None, as it draws others.
+
+        Raises:
+            ScenarioError: The file of the recorded ones is damaged.
+        """
+        recorded = Replay.futures_of(scenario)
+        return recorded if recorded > 1 else None
 
     def begin(self, scenario: Scenario, first_step: int) -> Tracks:
         """Begins an episode.
@@ -83,17 +101,21 @@ class ReactiveTraffic(Traffic):
         Returns:
             What is recorded until then.
         """
-        chosen, n = self.chosen, len(scenario.tracks.ids)
-        if self.future:
+        chosen = self.chosen
+        # Intentions are drawn where they are not recorded.
+        self._drawn = self.future > 0 and not scenario.futures
+        if self._drawn:
             minds, tracks = drawn(scenario, first_step, chosen, self.seed, self.future)
         else:
-            minds, tracks = recorded_minds(n, chosen), scenario.tracks
+            tracks = scenario.recorded(self.future)
+            minds = recorded_minds(len(tracks.ids), chosen)
+        n = len(tracks.ids)
         self._minds, self._first = minds, first_step
         self._waited = np.zeros(n, dtype=np.int64)
-        walks = [self.future > 0 and kind is RoadUserKind.PEDESTRIAN for kind in tracks.kinds]
+        walks = [self._drawn and kind is RoadUserKind.PEDESTRIAN for kind in tracks.kinds]
         self._walks = np.array(walks, dtype=np.bool_)
         self._lights = _Lights(scenario) if scenario.road_map.lights else None
-        self._paths = paths = Paths(tracks, RIDERS if self.future else VEHICLES)
+        self._paths = paths = Paths(tracks, RIDERS if self._drawn else VEHICLES)
         self._meetings = Meetings(paths, self.chosen.side_margin)
         self._vehicle, self._dt = scenario.task.vehicle, scenario.dt
         self._clock = np.full(n, float(first_step))
@@ -129,7 +151,7 @@ class ReactiveTraffic(Traffic):
         limit = np.full(len(here), np.inf)
         self._heed_ego(step, here, drives, pose, past, limit)
         if self._lights is not None:
-            heeds = np.flatnonzero(drives & (late | (self.future > 0)))
+            heeds = np.flatnonzero(drives & (late | self._drawn))
             self._lights.heed(
                 step - 1,
                 here[heeds],

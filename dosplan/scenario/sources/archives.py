@@ -3,11 +3,11 @@
 The folder is named by the archive's content, so that a run that is resumed, its workers and the
 next run find the same files; on a cluster, the cache has to be on a file system that all see.
 
-Archives are not trusted: only regular files with the ending of a scenario, or of what SUMO drives
-its traffic from, are written, each inside the folder, and no more than ``MAX_UNPACKED`` bytes of
-them. An archive that breaks one of these rules is refused as a whole, before any of it is read. A
-member of a ``.zip`` that is damaged becomes an empty file, and so a row that fails like any broken
-file.
+Archives are not trusted: only regular files with the ending of a scenario, of its futures, or of
+what SUMO drives its traffic from, are written, each inside the folder, and no more than
+``MAX_UNPACKED`` bytes of them. An archive that breaks one of these rules is refused as a whole,
+before any of it is read. A member of a ``.zip`` that is damaged becomes an empty file, and so a row
+that fails like any broken file.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import IO, Final
 
 from dosplan.scenario.commonroad.document import MAX_BYTES, SUFFIXES, ScenarioError
+from dosplan.scenario.sources.futures import is_of_futures
 from dosplan.scenario.sources.sumo import is_of_sumo
 from dosplan.system.folders import cache_folder
 
@@ -42,7 +43,7 @@ KEPT_SECONDS: Final = 30 * 24 * 3600.0
 
 _TAR: Final = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tar.xz", ".txz")
 ENDINGS: Final = (".zip", *_TAR)
-_KINDS: Final = ".2"
+_KINDS: Final = ".3"
 """Changes with the kinds of files that are written."""
 _LISTING: Final = "listing.json"
 _ENCRYPTED: Final = 0x1
@@ -151,7 +152,8 @@ def _write(archive: Path, members: Iterator[_Member], folder: Path) -> dict[str,
                 f"holds more than {MAX_UNPACKED} bytes or {MAX_MEMBERS} members; split it",
             )
         name = member.name.rpartition("/")[2]
-        if member.is_folder or not (is_scenario(name) or is_of_sumo(name)):
+        wanted = is_scenario(name) or is_of_sumo(name) or is_of_futures(member.name)
+        if member.is_folder or not wanted:
             continue
         place = (root / member.name).resolve()
         if not place.is_relative_to(root):

@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final
 
 FOLDER: Final = "futures"
 """Folder in which such files lie: beside a scenario file, or beside its folder."""
+
+
+_ENDING: Final = ".npz"
+
+
+def is_of_futures(name: str) -> bool:
+    """Whether a file of an archive holds the futures of a scenario, by its name.
+
+    Args:
+        name: Its name with the folders, "/" between them.
+
+    Returns:
+        Whether it has the ending, and lies in such a folder.
+    """
+    path = PurePosixPath(name)
+    return path.parent.name == FOLDER and path.suffix == _ENDING
 
 
 def futures_file(scenario: Path) -> Path | None:
@@ -22,4 +38,4 @@ def futures_file(scenario: Path) -> Path | None:
         return None
     name = scenario.name.removesuffix(".gz").removesuffix(".xml")
     folders = (scenario.parent / FOLDER, scenario.parent.parent / FOLDER)
-    return next((file for f in folders if (file := f / f"{name}.npz").is_file()), None)
+    return next((file for f in folders if (file := f / f"{name}{_ENDING}").is_file()), None)

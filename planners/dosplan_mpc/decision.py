@@ -26,6 +26,9 @@ from dosplan_mpc.passing import Pass, PassingDecision
 from dosplan_mpc.reference import EgoOnPath
 from dosplan_mpc.speed_profile import SpeedProfile
 
+Kind = tuple[str | float | None, ...]
+"""What tells one class of plans from another; the same from cycle to cycle while it is kept."""
+
 
 @dataclass(frozen=True)
 class StopAtLine:
@@ -38,6 +41,11 @@ class StopAtLine:
 
     wait: Wait
     stop: float
+
+    @property
+    def kind(self) -> Kind:
+        """What tells its class of plans from others: the line, whatever the reason."""
+        return ("stop", self.wait.line)
 
     @property
     def words(self) -> str:
@@ -67,6 +75,11 @@ class WaitToPass:
     user: int
     standing: int
     stop: float
+
+    @property
+    def kind(self) -> Kind:
+        """What tells its class of plans from others: what it waits before, for whomever."""
+        return ("wait", self.standing)
 
     @property
     def words(self) -> str:
@@ -100,6 +113,11 @@ class PassStanding:
     reason: None = None
 
     @property
+    def kind(self) -> Kind:
+        """What tells its class of plans from others: what is passed."""
+        return ("pass", self.standing)
+
+    @property
     def words(self) -> str:
         """The decision in a few words."""
         return f"pass {self.standing}"
@@ -122,6 +140,13 @@ class TakeGap:
     gap: Gap | OnLane
     stop: None = None
     reason: None = None
+
+    @property
+    def kind(self) -> Kind:
+        """What tells its class of plans from others: between whom, or that the ego is through."""
+        if isinstance(self.gap, OnLane):
+            return ("on lane",)
+        return ("gap", self.gap.behind, self.gap.front)
 
     @property
     def words(self) -> str:
@@ -162,6 +187,16 @@ class Decision:
     def reason(self) -> str | None:
         """Why the ego stops, or None."""
         return next((one.reason for one in self.chosen if one.reason is not None), None)
+
+    @property
+    def kind(self) -> tuple[Kind, ...]:
+        """What tells its class of plans from others."""
+        return tuple(one.kind for one in self.chosen)
+
+    @property
+    def leads(self) -> bool:
+        """Whether the reference leads aside: what just follows the path is not in the class."""
+        return any(isinstance(one, PassStanding | TakeGap) for one in self.chosen)
 
     @property
     def words(self) -> str | None:
@@ -241,6 +276,9 @@ class Decisions:
     ) -> Decision:
         """Adds the gap into which the ego changes lanes, where nothing else was decided.
 
+        Where something else was, a gap that was chosen before is given up: others drive on while
+        the ego stops, and what was a gap is none any more, or another one is better.
+
         Args:
             decision: What was decided about stops.
             observation: What is known now.
@@ -252,6 +290,7 @@ class Decisions:
             The decision.
         """
         if decision.chosen:
+            self._gaps.give_up()
             return decision
         gap = self._gaps.decide(observation, occupancy, ego, profile)
         return decision if gap is None else decision.joined(TakeGap(gap))

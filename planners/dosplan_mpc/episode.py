@@ -23,11 +23,11 @@ from dosplan.types import (
     SolveReport,
 )
 from dosplan.vehicle import VehicleParameters
-from dosplan_mpc.arrival import Arrival, Arrivals
+from dosplan_mpc.arrival import Arrivals
 from dosplan_mpc.barrier import BARRIER_ID, barrier
 from dosplan_mpc.components import Components
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.decision import Decision, Decisions
+from dosplan_mpc.decision import Decision, Decisions, Kind
 from dosplan_mpc.effort import Effort
 from dosplan_mpc.goal_window import GoalWindow, locate_goal
 from dosplan_mpc.lane_change import GapDecision
@@ -67,14 +67,14 @@ class _LastCycle:
         guess: What it planned.
         slack: Largest slack of a set.
         cycles: Number of cycles in a row that ended with a plan to go on from.
-        line: Arc length of the line that the ego waited for, m, or None.
+        kind: What told its decision from others.
     """
 
     step: int
     guess: Guess
     slack: float
     cycles: int
-    line: float | None
+    kind: tuple[Kind, ...]
 
 
 @dataclass(frozen=True)
@@ -96,12 +96,6 @@ class _Scene:
     sets: ForbiddenSets
     decision: Decision
     barrier: ForbiddenSets | None
-
-    @property
-    def line(self) -> float | None:
-        """Arc length of the line before which the ego has to stop, m, or None."""
-        wait = self.decision.wait
-        return None if wait is None else wait.line
 
     @property
     def forbidden(self) -> ForbiddenSets:
@@ -212,38 +206,41 @@ class MpcEpisode:
         best = min(attempts, key=lambda a: (not a.solution.usable, a.cost), default=None)
         lost = self._reach.unreachable(observation.step, observation.ego, scene.ego.position)
         report = replace(_report(attempts, best, scene.decision), unreachable=lost)
-        if best is not None and best.solution.usable:
-            self._last = self._remember(observation.step, best.solution, report.slack, scene.line)
-            plan = self._driven(observation, scene, self._last.guess, report)
+        goes_on = best is not None and best.solution.usable
+        if best is not None and goes_on:
+            guess = self._as_guess(best.solution)
         else:
-            if spare.name != _LAST_PLAN:
-                self._last = None
-            report = replace(report, fallback=spare.name)
-            plan = self._driven(observation, scene, spare.guess, report)
-        if self._effort.in_time():
-            return plan
-        said = f"{plan.report.fallback or 'solved'} at the deadline"
-        return replace(plan, report=replace(plan.report, fallback=said))
+            guess, report = spare.guess, replace(report, fallback=spare.name)
+        arrival = self._arrival(observation, scene, guess)
+        if arrival is not None:
+            goes_on, guess = True, arrival
+            fallen = report.fallback and _ARRIVAL
+            # What the plan before it entered is not entered.
+            report = replace(report, slack=0.0, road_slack=0.0, active_ids=(), fallback=fallen)
+        if goes_on:
+            self._last = self._remember(observation.step, guess, report.slack, scene)
+        elif spare.name != _LAST_PLAN:
+            self._last = None
+        if not self._effort.in_time():
+            said = f"{report.fallback or 'solved'} at the deadline"
+            report = replace(report, fallback=said)
+        return _plan(observation, guess, report)
 
-    def _driven(
-        self, observation: Observation, scene: _Scene, guess: Guess, report: SolveReport
-    ) -> Plan:
-        """The plan, or an arrival in its place."""
-        arrival = None
-        if self._effort.in_time():
-            arrival = self._arrivals.instead(
-                guess.states,
-                observation.step,
-                scene.start,
-                scene.forbidden,
-                self._speed.fastest(scene.ego),
-            )
+    def _arrival(self, observation: Observation, scene: _Scene, guess: Guess) -> Guess | None:
+        """A drive into a goal that is driven in place of a plan, if there is one."""
+        if not self._effort.in_time():
+            return None
+        arrival = self._arrivals.instead(
+            guess.states,
+            observation.step,
+            scene.start,
+            scene.forbidden,
+            self._speed.fastest(scene.ego),
+        )
         if arrival is None:
-            return _plan(observation, guess, report)
-        fallen = report.fallback and _ARRIVAL
-        # What the plan before it entered is not entered.
-        free = replace(report, slack=0.0, road_slack=0.0, active_ids=(), fallback=fallen)
-        return _plan(observation, arrival, free)
+            return None
+        on_road = np.zeros(len(arrival.inputs))
+        return self._guess_along(arrival.states, arrival.inputs, on_road)
 
     def _look(self, observation: Observation, occupancy: Occupancy) -> _Scene:
         """Where the ego is, its reference, and the sets it keeps out of."""
@@ -312,17 +309,21 @@ class MpcEpisode:
         warm = None if last is None else self._warm_start(last, step)
         if warm is not None and self._effort.allows_solve():
             attempts += self._solve_on_road(scene, warm)
-        due = last is None or last.cycles % self._config.resample_every == 0
-        # Another line is another problem: the last plan may be on the wrong side of it.
-        due = due or (last is not None and last.line != scene.line)
+        # Another decision is another problem: the last plan is not in its class.
+        new = last is not None and last.kind != scene.decision.kind
+        due = last is None or new or last.cycles % self._config.resample_every == 0
         pressed = last is not None and last.slack > settings.slack_seen
         done = not due and not pressed and _any_usable(attempts)
         if warm is not None and (done or not self._effort.in_time()):
             return attempts, _Spare(_LAST_PLAN, warm)
         sampled = self._sampler.sample(scene.start, scene.ego, scene.profile)
+        if scene.decision.leads:
+            led = self._sampler.led(scene.start, scene.ego, scene.profile)
+            sampled = sampled.joined(led)
         candidate, cost = self._best_of(scene, sampled)
         bar = np.inf if warm is None else self._cost_of(warm, scene)
-        better = cost < bar - max(settings.worth_it, settings.better * bar)
+        kept = 0.0 if new else max(settings.worth_it, settings.better * bar)
+        better = cost < bar - kept
         if (better or not _any_usable(attempts)) and self._effort.allows_solve():
             attempts += self._solve_on_road(scene, candidate)
         if warm is not None and bar < cost:
@@ -365,22 +366,23 @@ class MpcEpisode:
 
     def _as_guess(self, solution: Solution) -> Guess:
         """A solution as the guess of another solve."""
-        states = solution.states
+        return self._guess_along(solution.states, solution.inputs, solution.road_slack)
+
+    def _guess_along(self, states: FloatArray, inputs: FloatArray, road_slack: FloatArray) -> Guess:
+        """A guess of states from the ego's own on, with their places along the path."""
         way = np.hypot(np.diff(states[:, EGO_X]), np.diff(states[:, EGO_Y]))
         expected = self._arclength + np.concatenate([[0.0], np.cumsum(way)])
         arclength, _ = self._path.project(states[:, :2], expected)
-        return Guess(states, solution.inputs, solution.road_slack, arclength)
+        return Guess(states, inputs, road_slack, arclength)
 
-    def _remember(
-        self, step: int, solution: Solution, slack: float, line: float | None
-    ) -> _LastCycle:
-        """The part of a solution that the next cycle needs."""
+    def _remember(self, step: int, guess: Guess, slack: float, scene: _Scene) -> _LastCycle:
+        """What the next cycle needs of a plan that is driven."""
         return _LastCycle(
             step=step,
-            guess=self._as_guess(solution),
+            guess=guess,
             slack=slack,
             cycles=self._last.cycles + 1 if self._last else 1,
-            line=line,
+            kind=scene.decision.kind,
         )
 
     def _solve_on_road(self, scene: _Scene, guess: Guess) -> list[_Attempt]:
@@ -484,7 +486,7 @@ def _report(attempts: list[_Attempt], best: _Attempt | None, decision: Decision)
     )
 
 
-def _plan(observation: Observation, guess: Guess | Arrival, report: SolveReport) -> Plan:
+def _plan(observation: Observation, guess: Guess, report: SolveReport) -> Plan:
     states = guess.states[:, :EGO_SIZE].copy()
     states[0] = observation.ego
     return Plan(states=states, inputs=guess.inputs, report=report)

@@ -40,6 +40,7 @@ _STEP: Final = 0.2  # s; of the drives that are tried.
 _KNOTS: Final = 5  # Steps between the predicted places that are looked at.
 _INSET: Final = 0.8  # m into a gap that a drive aims at,
 _INSET_SHARE: Final = 0.3  # and the same as a share of the gap, where that is less.
+_BACK: Final = 0.5  # Share of the way between two lanes below which the ego is on the first one.
 _FAR: Final = 1e6  # m; the end of a gap that nobody bounds.
 
 
@@ -312,6 +313,8 @@ class GapDecision:
         change = self._next(ego, profile)
         if change is None:
             return None
+        if self._done(change, ego) < _BACK:  # It has been pushed back to the lane it came from.
+            self._through = None
         if self._through is change or (kept is not None and self._is_on(change, ego)):
             self._through = change
             return OnLane(change)
@@ -337,6 +340,10 @@ class GapDecision:
             return None
         self._kept = min(open_ones, key=lambda gap: gap.cost - self._bonus(gap, kept))
         return self._kept
+
+    def give_up(self) -> None:
+        """Forgets the gap that was chosen; the next one is chosen as if there had been none."""
+        self._kept = None
 
     def _bonus(self, gap: Gap, kept: Gap | None) -> float:
         """What a gap may cost more than another one because the ego is on its way to it."""

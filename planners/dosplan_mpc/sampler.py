@@ -9,7 +9,7 @@ driven as it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from dosplan_mpc.stage import (
 _CLOSEST_TO_CENTRE = 0.2  # Smallest 1 - kappa d: beyond a bend's centre, offsets are undefined.
 _RATED_AT_ONCE = 16  # Candidates whose way on the road is looked at in one go.
 _STEEPEST_RATED = 1.0  # rad; the rating takes larger angles to the path as this.
+_STEEPEST_LED = 0.7  # Slope of a line beside the path from which on it is followed as this.
+_SHARPEST_LED = 0.2  # Second derivative of such a line, 1/m, beyond which it counts as this.
+_LEAST_STEP = 1e-3  # m between two points of such a line.
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,22 @@ class Candidates:
         """
         return Candidates(
             self.states[rows], self.inputs[rows], self.arclength[rows], self.offset[rows]
+        )
+
+    def joined(self, other: Candidates) -> Candidates:
+        """These candidates and others.
+
+        Args:
+            other: Of as many steps.
+
+        Returns:
+            All of them, these first.
+        """
+        return Candidates(
+            *(
+                np.concatenate([getattr(self, part.name), getattr(other, part.name)])
+                for part in fields(self)
+            )
         )
 
     def guess(self, index: int) -> Guess:
@@ -120,6 +139,34 @@ class _References:
         second = self.slope * (6.0 * part - 4.0) / self.span
         second += rise / self.span**2 * (6.0 - 12.0 * part)
         return value, first, np.where(part < 1.0, second, 0.0)
+
+
+@dataclass(frozen=True)
+class _Led:
+    """References along one line beside the path.
+
+    Attributes:
+        speed: (C, N + 1) m/s.
+        begin: Arc length of the ego's rear axle, m.
+        offset: Its offset, m.
+        arclength: (N + 1,) increasing arc lengths of the line's points, m.
+        line: (N + 1,) their offsets, m.
+    """
+
+    speed: FloatArray
+    begin: float
+    offset: float
+    arclength: FloatArray
+    line: FloatArray
+
+    def offset_at(self, arclength: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Reference offset and its first two derivatives at (C,) arc lengths."""
+        slope = np.gradient(self.line, self.arclength).clip(-_STEEPEST_LED, _STEEPEST_LED)
+        bend = np.gradient(slope, self.arclength).clip(-_SHARPEST_LED, _SHARPEST_LED)
+        value, first, second = (
+            np.interp(arclength, self.arclength, row) for row in (self.line, slope, bend)
+        )
+        return value, first, second
 
 
 class Sampler:
@@ -193,6 +240,22 @@ class Sampler:
         """
         return self._combine(start, ego, profile, speed[None])
 
+    def led(self, start: FloatArray, ego: EgoOnPath, profile: SpeedProfile) -> Candidates:
+        """Samples that follow the reference's own offsets: aside when it does, and back.
+
+        Args:
+            start: (6,) present state.
+            ego: Where that is on the path.
+            profile: Reference of the next steps.
+
+        Returns:
+            The candidates, one of each speed.
+        """
+        speeds = self._speeds(start[EGO_VELOCITY], profile)
+        along = profile.arclength - self._vehicle.rear_to_centre
+        along = along + _LEAST_STEP * np.arange(len(along))  # Increasing where the ego stands.
+        return self._drive(start, _Led(speeds, ego.arclength, ego.offset, along, profile.offset))
+
     def _combine(
         self, start: FloatArray, ego: EgoOnPath, profile: SpeedProfile, speeds: FloatArray
     ) -> Candidates:
@@ -239,10 +302,10 @@ class Sampler:
         beside = [min(settings.lane, left), max(-settings.lane, right)]
         return np.array([goal, ego.offset, *beside, 0.5 * left, 0.5 * right])
 
-    def _drive(self, start: FloatArray, references: _References) -> Candidates:
+    def _drive(self, start: FloatArray, references: _References | _Led) -> Candidates:
         """Drives the vehicle model after the references."""
         vehicle, dt, n = self._vehicle, self._dt, self._config.horizon
-        count = len(references.target)
+        count = len(references.speed)
         states = np.empty((count, n + 1, STATE_SIZE))
         states[:, 0] = start
         inputs = np.empty((count, n, INPUT_SIZE))
@@ -263,7 +326,11 @@ class Sampler:
         return Candidates(states, inputs, arclength, offset)
 
     def _tracking_angle(
-        self, state: FloatArray, s: FloatArray, offset: FloatArray, references: _References
+        self,
+        state: FloatArray,
+        s: FloatArray,
+        offset: FloatArray,
+        references: _References | _Led,
     ) -> FloatArray:
         """(C,) steering angle, rad, that leads to the references' offsets.
 

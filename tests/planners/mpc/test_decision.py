@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from dosplan_mpc.config import GapSettings, MpcConfig
+from dosplan_mpc.decision import Decisions
 from dosplan_mpc.goal_window import GoalWindow
 from dosplan_mpc.lane_change import Gap, GapDecision, lane_changes
 from dosplan_mpc.planner import MpcPlanner
@@ -15,6 +18,7 @@ from dosplan_mpc.reference import EgoOnPath, aligned_path
 from dosplan_mpc.speed_profile import SpeedProfile
 from dosplan_simple.sets import ErrorCirclePredictor
 
+from dosplan.geometry import Wait
 from dosplan.scenario import load_scenario
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
@@ -25,6 +29,7 @@ from dosplan.types import (
     Outcome,
     RoadUserKind,
     Scenario,
+    StopCause,
 )
 from dosplan.vehicle import VehicleParameters
 from tests.support import scenes
@@ -101,11 +106,19 @@ class Decider:
 
     def decide(self, places: Sequence[float], speed: float = 8.0) -> Gap | None:
         """Others are that far ahead of the ego, on the lane that it goes to; it drives as fast."""
+        gap = self.decision.decide(*self.scene(places, speed))
+        assert gap is None or isinstance(gap, Gap)
+        return gap
+
+    def scene(
+        self, places: Sequence[float], speed: float = 8.0, x: float = 120.0, y: float = 0.0
+    ) -> tuple[Observation, Occupancy, EgoOnPath, SpeedProfile]:
+        """The same as the decision is shown it; the ego is at (x, y)."""
         task, n = self.scenario.task, len(places)
         ahead = np.array(places)
-        now = np.column_stack([120.0 + ahead, np.full(n, 3.5), np.zeros(n), np.full(n, speed)])
+        now = np.column_stack([x + ahead, np.full(n, 3.5), np.zeros(n), np.full(n, speed)])
         ego = task.start.copy()
-        ego[0] = 120.0 - VehicleParameters().rear_to_centre
+        ego[0] = x - VehicleParameters().rear_to_centre
         observation = Observation(
             step=0,
             dt=0.1,
@@ -123,8 +136,8 @@ class Decider:
         centre = np.repeat(now[:, None, :2], 30, axis=1)
         centre[..., 0] += speed * seconds
         occupancy = Occupancy.from_trajectory(observation, centre, np.zeros((n, 30)))
-        position = float(self.path.locate(np.array([120.0, 0.0])))
-        offset = float(self.path.project(np.array([120.0, 0.0]), np.array(position))[1])
+        position = float(self.path.locate(np.array([x, 0.0])))
+        offset = float(self.path.project(np.array([x, y]), np.array(position))[1])
         place = EgoOnPath(0, position - VehicleParameters().rear_to_centre, offset, position, speed)
         steps = np.arange(31)
         profile = SpeedProfile(
@@ -137,9 +150,7 @@ class Decider:
             heading=np.zeros(31),
             heading_weight=np.zeros(31),
         )
-        gap = self.decision.decide(observation, occupancy, place, profile)
-        assert gap is None or isinstance(gap, Gap)
-        return gap
+        return observation, occupancy, place, profile
 
 
 def test_a_change_of_lanes_has_its_place_along_the_path(tmp_path: Path) -> None:
@@ -183,6 +194,45 @@ def test_a_gap_is_given_up_when_it_closes(tmp_path: Path) -> None:
     other = decider.decide([-6.0, 1.5, 20.0])
     assert other is not None
     assert (other.behind, other.front) == (3, 2)
+
+
+def test_a_gap_is_not_kept_while_the_ego_stops(tmp_path: Path) -> None:
+    near, past = [-20.0, 1.5, 20.0], [-20.0, 0.5, 20.0]
+    lines: list[Wait | None] = []
+
+    def chosen(stopped: bool) -> tuple[str | None, str | None]:
+        """The gap that is chosen first, and the one that is when another is hardly better."""
+        decider = Decider(tmp_path)
+        rules = SimpleNamespace(wait=lambda *_: lines.pop(0))
+        nothing = SimpleNamespace(decide=lambda *_: None)
+        decisions = Decisions(cast(Any, rules), cast(Any, nothing), decider.decision, 2.2)
+        red = Wait(StopCause.LIGHT, 150.0, 149.5, "light 31")
+        words = []
+        for places, wait in ((near, None), (near, red if stopped else None), (past, None)):
+            lines.append(wait)
+            scene = decider.scene(places)
+            words.append(decisions.about_gaps(decisions.about_stops(*scene[:3]), *scene).words)
+        assert not stopped or words[1] == "stop: light 31"
+        return words[0], words[-1]
+
+    first, other = (
+        "change lanes behind 2 and in front of 1",
+        "change lanes behind 3 and in front of 2",
+    )
+    assert chosen(stopped=False) == (first, first)
+    assert chosen(stopped=True) == (first, other)
+
+
+def test_who_is_pushed_back_from_a_lane_decides_anew(tmp_path: Path) -> None:
+    """At x = 100 m the path is still on the lane that the route leaves."""
+    decider, places = Decider(tmp_path), [-20.0, 1.5, 20.0]
+
+    def decided(y: float) -> str:
+        return type(decider.decision.decide(*decider.scene(places, x=100.0, y=y))).__name__
+
+    assert decided(0.0) == "Gap"
+    assert [decided(y) for y in (3.2, 3.6, 2.4)] == ["OnLane"] * 3
+    assert [decided(y) for y in (0.9, 0.2)] == ["Gap"] * 2
 
 
 def test_a_gap_in_which_the_goal_is_missed_is_passed_over(tmp_path: Path) -> None:

@@ -551,6 +551,31 @@ def test_candidates_start_at_the_ego_and_reach_their_offset() -> None:
     assert ends.max() > 3.0  # some to the left lane
 
 
+def test_samples_that_are_led_go_aside_and_back() -> None:
+    path = path_of(straight_route())
+    sampler, profile = Sampler(CONFIG, VEHICLE, path, road_along(path), DT), free_profile(path)
+    start = np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0])
+    ego = EgoOnPath(0, 20.0, 0.0, 20.0 + VEHICLE.rear_to_centre, 10.0)
+    steps = np.arange(CONFIG.horizon + 1)
+    aside = 1.2 - 1.2 * np.cos(2.0 * np.pi * steps / CONFIG.horizon)
+    bent = replace(
+        profile,
+        velocity=np.full(len(steps), 10.0),
+        arclength=np.asarray(ego.position + 10.0 * DT * steps, dtype=np.float64),
+        offset=aside,
+    )
+    led = sampler.led(start, ego, bent)
+    assert np.abs(led.offset[-1] - aside).max() < 0.5  # The last one has the reference's speed.
+    # None of those that go to one side and stay there is as near.
+    others = sampler.sample(start, ego, bent)
+    assert np.abs(others.offset - aside).max(axis=1).min() > 1.0
+    # An ego that stands goes nowhere, whatever its reference asks for.
+    stands = replace(bent, velocity=np.zeros(len(steps)), arclength=np.full(len(steps), 21.42))
+    still = sampler.led(np.zeros(6), EgoOnPath(0, 20.0, 0.0, 21.42, 0.0), stands)
+    assert np.all(np.isfinite(still.states))
+    assert np.abs(still.offset[-1]).max() < 1e-9
+
+
 def test_rating_prefers_the_free_side() -> None:
     path = path_of(straight_route())
     sampler, profile = Sampler(CONFIG, VEHICLE, path, road_along(path), DT), free_profile(path)

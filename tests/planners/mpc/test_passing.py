@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from dosplan_mpc.planner import MpcPlanner
+from dosplan_mpc.sampler import Candidates, Sampler
 from dosplan_simple.predictors import GroundTruthPredictor
 from dosplan_simple.sets import ErrorCirclePredictor
 
@@ -15,7 +17,7 @@ from dosplan.api import Predictor
 from dosplan.scenario import load_scenario
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
-from dosplan.types import Arm, Episode, Outcome, Score
+from dosplan.types import Arm, Episode, FloatArray, Outcome, Score
 from tests.support import scenes
 
 LORRY = "<rectangle><length>8.0</length><width>2.5</width></rectangle>"
@@ -86,6 +88,25 @@ def test_the_ego_waits_for_who_comes_and_passes_then(tmp_path: Path) -> None:
     beside = np.flatnonzero(np.abs(episode.states[:, 0] - 70.0) < 4.0)
     comer = 125.0 - 10.0 * 0.1 * beside
     assert np.all(comer < 70.0)  # It is through before the ego is beside the lorry.
+
+
+def test_plans_of_a_new_decision_begin_in_its_class(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A plan that waits is no guess for one that goes round, nor the other way."""
+    sampled: list[float] = []
+    sample = Sampler.sample
+
+    def note(self: Sampler, start: FloatArray, *rest: Any) -> Candidates:
+        sampled.append(float(start[0]))
+        return sample(self, start, *rest)
+
+    monkeypatch.setattr(Sampler, "sample", note)
+    _, episode = drive(tmp_path, [lorry(70.0), oncoming(125.0, 10.0)])
+    words = [plan.report.decision for plan in episode.plans]
+    new = [i for i in range(1, len(words)) if words[i] != words[i - 1]]
+    assert len(new) >= 3  # It waits, it passes, it goes on.
+    assert {float(episode.states[i, 0]) for i in new} <= set(sampled)
 
 
 def test_somebody_without_a_prediction_is_taken_to_keep_its_speed(tmp_path: Path) -> None:

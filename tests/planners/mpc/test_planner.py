@@ -13,7 +13,7 @@ import pytest
 from dosplan_mpc import effort
 from dosplan_mpc.arrival import Arrival, Arrivals
 from dosplan_mpc.config import MpcConfig
-from dosplan_mpc.nlp import MpcProblem, Solution
+from dosplan_mpc.nlp import Guess, MpcProblem, Solution
 from dosplan_mpc.planner import MpcPlanner
 from dosplan_simple.predictors import ConstantVelocityPredictor
 from dosplan_simple.sets import ErrorCirclePredictor
@@ -221,6 +221,33 @@ def test_an_arrival_is_not_reported_to_enter_what_the_plan_entered(
     monkeypatch.setattr(Arrivals, "instead", arrive)
     report = planned()
     assert (report.active_ids, report.slack, report.road_slack) == ((), 0.0, 0.0)
+
+
+def test_after_an_arrival_the_solver_goes_on_from_what_is_driven(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An arrival may turn or brake as no plan before it did."""
+    guesses: list[Guess] = []
+    solve = MpcProblem.solve
+
+    def note(
+        self: MpcProblem, start: FloatArray, stages: Any, guess: Guess, slack: Any
+    ) -> Solution:
+        guesses.append(guess)
+        return solve(self, start, stages, guess, slack)
+
+    def brake(self: Arrivals, plan: FloatArray, *rest: object) -> Arrival:
+        states, inputs = [plan[0]], np.tile([0.0, -3.0], (len(plan) - 1, 1))
+        for row in inputs:
+            states.append(np.append(VEHICLE.step(states[-1][:5], row, 0.1), row[1]))
+        return Arrival(np.array(states), inputs, 5)
+
+    monkeypatch.setattr(MpcProblem, "solve", note)
+    monkeypatch.setattr(Arrivals, "instead", brake)
+    scenario = straight_scenario(velocity=10.0, goals=[GoalState(9, 9)], final_step=9)
+    episode = run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), Arm.WITH_DOS)
+    driven = episode.plans[0].states
+    np.testing.assert_allclose(guesses[1].states[:-1, :5], driven[1:], atol=1e-9)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])

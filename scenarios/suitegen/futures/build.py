@@ -23,6 +23,7 @@ from suitegen.futures.kinds import KINDS
 from suitegen.futures.scene import Scene, scene_of
 from suitegen.futures.simulate import RejectedError, simulate
 from suitegen.futures.staging import EGO, Act, Staging
+from suitegen.futures.verdict import Rejected, judge
 from suitegen.lanelets import convert
 from suitegen.plain import compile_network
 from suitegen.roads import Rng
@@ -85,7 +86,8 @@ class Built:
     Attributes:
         files: Contents by the names of the files, folders included.
         row: Its row of the manifest.
-        drives: (K, 4) states of the stand-in in each future, see ``Scene.drives``.
+        drives: For each future (K, 4) states of a drive that solves it: centre x, y, m, heading,
+            rad, velocity, m/s.
         start: Step of the first of them.
         rejected: Scenes that were rejected before, by reason.
     """
@@ -136,6 +138,9 @@ def _attempt(place: Place, seed: int, attempt: int, folder: Path, rejected: Coun
     scenario = write_scene(folder, header, convert(net), staging, simulated, scene)
     if unusable(scenario) is not None:
         raise RejectedError("nobody could drive it")
+    verdict = judge(scenario, scene.drives)
+    if isinstance(verdict, Rejected):
+        raise RejectedError(verdict.reason)
     name = place.benchmark_id
     files = {
         f"files/{name}.xml.gz": compress((folder / "files" / f"{name}.xml").read_bytes()),
@@ -143,9 +148,9 @@ def _attempt(place: Place, seed: int, attempt: int, folder: Path, rejected: Coun
         f"sumo-files/{name}.futures.json": scripts_json(staging, simulated, acts),
     }
     sumo = sumo_inputs(name, net, simulated.demand.root, simulated.seed, EGO, simulated.start_time)
-    row = _row(place, seed, acts, scene, "", files)
+    row = _row(place, seed, acts, scene, verdict.defeats, files)
     files |= {f"sumo-files/{file}": content for file, content in sumo.items()}
-    return Built(files, row, scene.drives, scene.start, rejected)
+    return Built(files, row, verdict.drives, scene.start, rejected)
 
 
 def _acts(staging: Staging, rng: Rng) -> list[Act]:
@@ -172,20 +177,21 @@ def _row(
         "id": place.benchmark_id,
         "file": file,
         "sha256": hashlib.sha256(files[file]).hexdigest(),
-        "futures": futures,
+        "futures_file": futures,
         "futures_sha256": hashlib.sha256(files[futures]).hexdigest(),
         "kind": KINDS[place.kind].name,
+        "futures": str(len(acts)),
         "intentions": "; ".join(act.intention for act in acts),
-        "road_users": " ".join(f"{kind}:{users[kind]}" for kind in sorted(users)),
-        "duration_s": f"{0.1 * scene.last:.1f}",
         "defeats": defeats,
+        "duration_s": f"{0.1 * scene.last:.1f}",
+        "road_users": " ".join(f"{kind}:{users[kind]}" for kind in sorted(users)),
         "source": place.source(seed),
         "licence": LICENCE,
     }
 
 
 def drives_csv(suite: Iterable[Built]) -> bytes:
-    """The stand-in's drives of a suite as a table, compressed.
+    """The drives that solve a suite as a table, compressed.
 
     Args:
         suite: The scenarios.

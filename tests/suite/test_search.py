@@ -162,7 +162,7 @@ def test_a_scenario_that_a_future_decides_is_accepted() -> None:
     scenario = two_futures(15.0, braking=(0,))
     verdict = verdict_on(scenario)
     assert isinstance(verdict, Accepted)
-    assert verdict.defeats == "cruise:1 (car after 3.2 s, stopped_track)"
+    assert verdict.defeats == "cruise:1 (car after 3.3 s, stopped_track)"
     assert len(verdict.drives) == 2
     for future, drive in enumerate(verdict.drives):
         assert solved(scored(in_future(scenario, future), drive), scenario.task)

@@ -23,14 +23,10 @@ from dosplan.scenario.synthetic import LANE_WIDTH
 from dosplan.scoring.collision import first_contacts
 from dosplan.types import FloatArray, GoalState, LightColour, Scenario, StopCause
 from tests.support.factories import ruled_scenario, stop_at
-from tests.support.futures import stopped
+from tests.support.futures import goal_at, stopped, two_futures
 from tests.support.suite import SUITE, Row, each
 
 LENGTH = 4.508
-
-
-def goal_at(x: float, last: int, width: float = LANE_WIDTH) -> GoalState:
-    return GoalState(0, last, box(x - 6.0, -0.5 * width, x + 6.0, 0.5 * width))
 
 
 def must_find(scenario: Scenario) -> FloatArray:
@@ -141,17 +137,6 @@ def test_it_solves_the_suite_of_one_future(row: Row) -> None:
     must_find(load_scenario(SUITE / row["file"], cached=True))
 
 
-def two_futures(gap: float, braking: tuple[int, ...], at: int = 10) -> Scenario:
-    """A leader and a column beside it go on in future 0; in future 1 some of them brake hard."""
-    column = [(x, LANE_WIDTH, 0.0, 12.0) for x in np.arange(-12.0, 90.0, 8.0)]
-    users = [(gap + 1.42 + LENGTH, 0.0, 0.0, 12.0), *column]
-    scenario = ruled_scenario(users=users, velocity=12.0, goals=[goal_at(62.0, 110)], seconds=11.0)
-    other = scenario.tracks
-    for row in braking:
-        other = stopped(other, 100 + row, at)
-    return replace(scenario, futures=(other,))
-
-
 def verdict_on(scenario: Scenario) -> Accepted | Rejected:
     drive = find_drive(in_future(scenario, 0))
     assert drive is not None
@@ -174,7 +159,7 @@ def test_a_scenario_that_a_future_decides_is_accepted() -> None:
     [
         (two_futures(15.0, braking=()), UNDEFEATED),
         (two_futures(0.5, braking=(0,), at=1), AT_ONCE),
-        (two_futures(15.0, braking=tuple(range(14))), UNSOLVED),
+        (two_futures(15.0, braking=range(14)), UNSOLVED),
     ],
 )
 def test_a_scenario_is_rejected(scenario: Scenario, reason: str) -> None:

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+from shapely.geometry import box
 
-from dosplan.types import USER_HEADING, USER_VELOCITY, USER_X, USER_Y, RoadUserKind, Tracks
+from dosplan.scenario.synthetic import CAR_SIZE, LANE_WIDTH
+from dosplan.types import (
+    USER_HEADING,
+    USER_VELOCITY,
+    USER_X,
+    USER_Y,
+    GoalState,
+    RoadUserKind,
+    Scenario,
+    Tracks,
+)
+from dosplan.vehicle import VehicleParameters
+from tests.support.factories import ruled_scenario
 
 BRAKING = 6.0
 """Deceleration of who stops, m/s2."""
@@ -55,3 +69,28 @@ def appended(tracks: Tracks, name: int, first: int) -> Tracks:
         valid=np.concatenate([tracks.valid, ~np.isnan(states[..., 0])]),
         outlines=(*tracks.outlines, None),
     )
+
+
+def goal_at(x: float, last: int) -> GoalState:
+    """A goal 12 m long on the ego's lane of the straight road, at any time until a step."""
+    half = 0.5 * LANE_WIDTH
+    return GoalState(0, last, box(x - 6.0, -half, x + 6.0, half))
+
+
+def two_futures(gap: float, braking: Iterable[int], at: int = 10) -> Scenario:
+    """A leader and a column of 13 beside it at 12 m/s go on in future 0, some brake in future 1.
+
+    Args:
+        gap: From the ego's front to the leader's rear, m.
+        braking: Who brakes hard: 0 is the leader, then the column from behind.
+        at: The step after which they brake.
+    """
+    vehicle = VehicleParameters()
+    front = vehicle.rear_to_centre + 0.5 * vehicle.length
+    column = [(x, LANE_WIDTH, 0.0, 12.0) for x in np.arange(-12.0, 90.0, 8.0)]
+    users = [(front + gap + 0.5 * CAR_SIZE[0], 0.0, 0.0, 12.0), *column]
+    scenario = ruled_scenario(users=users, velocity=12.0, goals=[goal_at(62.0, 110)], seconds=11.0)
+    other = scenario.tracks
+    for row in braking:
+        other = stopped(other, 100 + row, at)
+    return replace(scenario, futures=(other,))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -29,9 +29,12 @@ from dosplan.results.dataframes import to_pandas, to_polars
 from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest
+from dosplan.results.markdown import comparison_text
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_run
 from dosplan.results.summary import Summary, read_summary
+from dosplan.results.table import COLUMNS, Table, make_table
+from dosplan.results.table_text import markdown_table, plain_table
 from dosplan.running.config import RunConfig, default_folder
 from dosplan.running.executor import Executor
 from dosplan.running.progress import Progress, ProgressObserver
@@ -209,7 +212,16 @@ def open_run(path: str | Path) -> Results:
     return Results(Path(path), manifest, tuple(rows))
 
 
-def compare(a: Results | str | Path, b: Results | str | Path | None = None) -> list[Comparison]:
+class Comparisons(list[Comparison]):
+    """Comparisons that print as tables."""
+
+    def __str__(self) -> str:
+        return "\n\n".join(map(comparison_text, self))
+
+    __repr__ = __str__
+
+
+def compare(a: Results | str | Path, b: Results | str | Path | None = None) -> Comparisons:
     """Compares two runs, or the two arms of one, as ``dosplan compare`` does.
 
     Args:
@@ -218,14 +230,63 @@ def compare(a: Results | str | Path, b: Results | str | Path | None = None) -> l
 
     Returns:
         ``b`` against ``a``, once for each arm that both hold; for one run, its arm with sets
-        against its arm without.
+        against its arm without. They print as tables.
 
     Raises:
         CompareError: The sides do not match.
         FileError: A folder is not that of a finished run.
     """
     runs = [run for run in (a, b) if run is not None]
-    return compare_runs([str(run.path if isinstance(run, Results) else run) for run in runs])
+    return Comparisons(compare_runs([_folder(run) for run in runs]))
+
+
+class RunTable(Table):
+    """A table that prints as text, and in a notebook as Markdown."""
+
+    def __str__(self) -> str:
+        return plain_table(self)
+
+    __repr__ = __str__
+
+    def _repr_markdown_(self) -> str:
+        return markdown_table(self)
+
+
+def table(
+    *runs: Results | str | Path,
+    baseline: Results | str | Path | None = None,
+    columns: Sequence[str] = COLUMNS,
+    across_worlds: bool = False,
+) -> RunTable:
+    """Puts any number of runs side by side, as ``dosplan table`` does.
+
+    Args:
+        *runs: Runs, their folders, or folders of sweeps; a run folder may be followed by
+            ``:with_dos`` or ``:without_dos``.
+        baseline: What the others are compared with, likewise, or the name of a run of a sweep; by
+            default it is in each block the first arm without sets, or the first row.
+        columns: Names of metrics.
+        across_worlds: Whether to put runs of another traffic or loop into one block, too.
+
+    Returns:
+        The table: ``blocks``, with rows over the same episodes. It prints as text, and in a
+        notebook as Markdown.
+
+    Raises:
+        CompareError: There is no such metric or baseline, or nothing to show.
+        FileError: A folder is not that of a finished run, or of a sweep.
+    """
+    found = make_table(
+        [_folder(run) for run in runs],
+        baseline=None if baseline is None else _folder(baseline),
+        columns=columns,
+        across_worlds=across_worlds,
+    )
+    return RunTable(found.columns, found.blocks, found.missing)
+
+
+def _folder(run: Results | str | Path) -> str:
+    return str(run.path if isinstance(run, Results) else run)
 
 
 def _spec(plugin: type[Any] | str) -> str:

@@ -272,12 +272,15 @@ class Predictor(ABC):
         name: Versioned name that goes into results (``constant-velocity-v1``).
         settings: The frozen dataclass of its options, a ``PredictorSettings``; the constructor
             takes an instance of it.
+        has_sets: Whether its sets have an extent. Where it predicts points, both arms drive alike,
+            and a sweep drives one.
         horizon: Number T of steps that it predicts.
         last_seconds: Wall-clock time of the last ``predict``, s.
     """
 
     name: ClassVar[str]
     settings: ClassVar[type[PredictorSettings]] = PredictorSettings
+    has_sets: ClassVar[bool] = True
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -336,6 +339,10 @@ class Predictor(ABC):
             raise PluginError(
                 f"predictor {self.name}: predicted {occupancy.horizon} steps, asked for "
                 f"{self.horizon}"
+            )
+        if not self.has_sets and np.any(occupancy.semi_axes):
+            raise PluginError(
+                f"predictor {self.name}: its sets have an extent; set has_sets = True"
             )
         return occupancy
 

@@ -21,15 +21,19 @@ from dosplan.cli.evaluate import EvaluateCommand
 from dosplan.cli.listing import ListCommand
 from dosplan.cli.run import RunCommand
 from dosplan.cli.score import ScoreCommand
+from dosplan.cli.sweep import SweepCommand
+from dosplan.cli.table import TableCommand
 from dosplan.system.errors import DosplanError
 
 __all__ = ["BAD_INPUT", "FAILED", "INTERRUPTED", "OK", "main"]
 
 _BUILT_IN: Final[Mapping[str, Command]] = {
     "run": RunCommand(),
+    "sweep": SweepCommand(),
     "list": ListCommand(),
     "check": CheckCommand(),
     "compare": CompareCommand(),
+    "table": TableCommand(),
     "score": ScoreCommand(),
     "evaluate": EvaluateCommand(),
     "bench": BenchCommand(),

@@ -12,20 +12,20 @@ from rich.text import Text
 
 from dosplan.results.comparison import Comparison
 from dosplan.results.markdown import (
+    change_cells,
+    comparison_cells,
+    comparison_note,
+    comparison_title,
     difference_lines,
-    interval_text,
     scenario_count,
-    size_text,
     summary_cells,
     summary_title,
-    test_name,
 )
-from dosplan.results.paired import Difference
 from dosplan.results.summary import Summary
+from dosplan.results.table import Table as RunTable
+from dosplan.results.table_text import block_cells, notes
 from dosplan.results.unusable import unusable_lines
-from dosplan.scoring import metrics
-from dosplan.scoring.metrics import Metric
-from dosplan.types import Outcome, ScenarioFuture, Score
+from dosplan.types import Outcome, Score
 
 ERRORS_SHOWN: Final = 10
 
@@ -79,29 +79,30 @@ def comparison_tables(comparison: Comparison) -> RenderableType:
     Returns:
         The differences, then the scenarios whose outcome differs.
     """
-    differences = table(
-        ["", "n", "A", "B", "B - A", "95 % interval", "A only", "B only", "p", "p, places"],
-        [
-            _difference_row(metric, comparison.differences[metric.name])
-            for metric in metrics.METRICS
-            if metric.name in comparison.differences
-        ],
+    changed: RenderableType = "No outcome differs."
+    if comparison.changes:
+        changed = table(*change_cells(comparison), numbers=False)
+    return Group(
+        comparison_title(comparison),
+        table(*comparison_cells(comparison)),
+        comparison_note(comparison),
+        changed,
     )
-    changes = table(
-        ["Scenario whose outcome differs", "A", "B"],
-        [[ScenarioFuture(c.scenario, c.future).title, c.a, c.b] for c in comparison.changes],
-        numbers=False,
-    )
-    title = f"A = {comparison.a}\nB = {comparison.b}\n{size_text(comparison)}"
-    if comparison.unusable:
-        title += f"; left out as unusable or failed by the traffic: {comparison.unusable}"
-    notes = (
-        "Intervals take into account that several scenarios are of one place. p of a share: exact "
-        f"{test_name(comparison)} test over scenarios, and sign-flip test over places; of a mean: "
-        "t test over places."
-    )
-    changed = changes if comparison.changes else "No outcome differs."
-    return Group(title, differences, notes, changed)
+
+
+def run_tables(found: RunTable) -> list[RenderableType]:
+    """Lays a table of runs out for the terminal.
+
+    Args:
+        found: The table.
+
+    Returns:
+        For each block its title and tables; then the notes.
+    """
+    parts: list[RenderableType] = []
+    for block in found.blocks:
+        parts += [block.title, *(table(*cells) for cells in block_cells(found, block))]
+    return [*parts, *notes(found)]
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True) -> Table:
@@ -121,16 +122,3 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool 
     for row in rows:
         built.add_row(*row)
     return built
-
-
-def _difference_row(metric: Metric, figure: Difference) -> list[str]:
-    return [
-        metric.heading,
-        str(figure.n),
-        metric.shown(figure.a),
-        metric.shown(figure.b),
-        metric.shown(figure.difference, "+"),
-        interval_text(metric, figure),
-        *("-" if count is None else str(count) for count in (figure.only_a, figure.only_b)),
-        *("-" if p is None else f"{p:.3g}" for p in (figure.p, figure.p_places)),
-    ]

@@ -251,18 +251,33 @@ def paired_sides(specs: Sequence[str]) -> list[tuple[Side, Side]]:
     return [(first[arm], second[arm]) for arm in Arm if arm in first and arm in second]
 
 
+def named_arm(spec: str) -> tuple[Path, Arm | None]:
+    """Takes ``RUN`` or ``RUN:arm`` apart.
+
+    Args:
+        spec: A run folder, with an arm or without.
+
+    Returns:
+        The folder, and the arm that is asked for.
+    """
+    folder, _, wanted = spec.rpartition(":")
+    for arm in Arm:
+        if folder and arm.value == wanted:
+            return Path(folder), arm
+    return Path(spec), None
+
+
 def _read_sides(spec: str) -> dict[Arm, Side]:
     """Reads ``RUN`` or ``RUN:arm``: each arm that is asked for."""
-    folder, _, wanted = spec.rpartition(":")
-    named = [arm for arm in Arm if folder and arm.value == wanted]
-    path = Path(folder if named else spec)
+    path, named = named_arm(spec)
     _, rows = read_run(path)
     arms = {
-        arm: Side(path, arm, tuple(row for row in rows if row.arm is arm)) for arm in named or Arm
+        arm: Side(path, arm, tuple(row for row in rows if row.arm is arm))
+        for arm in ([named] if named else Arm)
     }
     held = {arm: side for arm, side in arms.items() if side.rows}
     if not held:
-        raise CompareError(f"{path} holds no episode of the arm {wanted}")
+        raise CompareError(f"{path} holds no episode of the arm {named}")
     return held
 
 

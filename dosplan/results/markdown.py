@@ -11,7 +11,7 @@ from dosplan.results.summary import ArmSummary, Summary
 from dosplan.results.unusable import unusable_title
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Group, Metric, find_metric
-from dosplan.types import Arm
+from dosplan.types import Arm, ScenarioFuture
 
 ARM_TITLES: Final = {Arm.WITH_DOS: "with DOS", Arm.WITHOUT_DOS: "without DOS"}
 ARMS_SIDE_BY_SIDE: Final = (Arm.WITHOUT_DOS, Arm.WITH_DOS)
@@ -34,6 +34,29 @@ def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bo
     """
     rule = ["---", *["---:" if numbers else "---"] * (len(headings) - 1)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (headings, rule, *rows))
+
+
+def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True) -> str:
+    """Writes a table as text in columns, its first column to the left.
+
+    Args:
+        headings: Column headings.
+        rows: Cells.
+        numbers: Whether the other columns hold numbers and go to the right.
+
+    Returns:
+        The table's lines.
+    """
+    lines = (headings, *rows)
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    told = [
+        "  ".join(
+            cell.rjust(width) if numbers and column else cell.ljust(width)
+            for column, (cell, width) in enumerate(zip(cells, widths, strict=True))
+        ).rstrip()
+        for cells in lines
+    ]
+    return "\n".join([told[0], "-" * (sum(widths) + 2 * (len(widths) - 1)), *told[1:]])
 
 
 def summary_markdown(summary: Summary) -> str:
@@ -203,3 +226,95 @@ def interval_text(metric: Metric, figure: Difference) -> str:
     if figure.low is None:
         return "-"
     return f"{metric.shown(figure.low, '+')} to {metric.shown(figure.high, '+')}"
+
+
+def comparison_title(comparison: Comparison) -> str:
+    """Says what is compared.
+
+    Args:
+        comparison: The comparison.
+
+    Returns:
+        Three lines: both sides, and over what they are compared.
+    """
+    title = f"A = {comparison.a}\nB = {comparison.b}\n{size_text(comparison)}"
+    if comparison.unusable:
+        title += f"; left out as unusable or failed by the traffic: {comparison.unusable}"
+    return title
+
+
+def comparison_cells(comparison: Comparison) -> Cells:
+    """Lays the differences of a comparison out.
+
+    Args:
+        comparison: The comparison.
+
+    Returns:
+        A row for each metric that has a difference.
+    """
+    headings = ["", "n", "A", "B", "B - A", "95 % interval", "A only", "B only", "p", "p, places"]
+    found = [
+        (metric, comparison.differences[metric.name])
+        for metric in metrics.METRICS
+        if metric.name in comparison.differences
+    ]
+    return headings, [_difference_row(*one) for one in found]
+
+
+def change_cells(comparison: Comparison) -> Cells:
+    """Lists the scenarios whose outcome differs.
+
+    Args:
+        comparison: The comparison.
+
+    Returns:
+        A row for each, with both outcomes.
+    """
+    rows: list[list[str]] = [
+        [ScenarioFuture(change.scenario, change.future).title, change.a, change.b]
+        for change in comparison.changes
+    ]
+    return ["Scenario whose outcome differs", "A", "B"], rows
+
+
+def comparison_note(comparison: Comparison) -> str:
+    """Says how intervals and tests of a comparison are to be read."""
+    return (
+        "Intervals take into account that several scenarios are of one place. p of a share: exact "
+        f"{test_name(comparison)} test over scenarios, and sign-flip test over places; of a mean: "
+        "t test over places."
+    )
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Writes a comparison as text in columns.
+
+    Args:
+        comparison: The comparison.
+
+    Returns:
+        What is compared, the differences, how to read them, and whose outcome differs.
+    """
+    changed = "No outcome differs."
+    if comparison.changes:
+        changed = aligned(*change_cells(comparison), numbers=False)
+    parts = (
+        comparison_title(comparison),
+        aligned(*comparison_cells(comparison)),
+        comparison_note(comparison),
+        changed,
+    )
+    return "\n\n".join(parts)
+
+
+def _difference_row(metric: Metric, figure: Difference) -> list[str]:
+    return [
+        metric.heading,
+        str(figure.n),
+        metric.shown(figure.a),
+        metric.shown(figure.b),
+        metric.shown(figure.difference, "+"),
+        interval_text(metric, figure),
+        *("-" if count is None else str(count) for count in (figure.only_a, figure.only_b)),
+        *("-" if p is None else f"{p:.3g}" for p in (figure.p, figure.p_places)),
+    ]

@@ -89,7 +89,7 @@ class DaskExecutor:
             try:
                 yield _Cluster(config, client, self.address)
             finally:
-                _stop_driving(client)
+                _stop_driving(client, config)
 
 
 @dataclass(frozen=True)
@@ -193,12 +193,12 @@ class _Run:
                 self._processes = EpisodeProcesses(config)
             return self._processes
 
-    def stop(self) -> None:
-        """Ends every process, whatever it is doing."""
+    def stop(self, config: RunConfig) -> None:
+        """Ends every process of a run, whatever it is doing; another run goes on."""
         with self._lock:
-            if self._processes is not None:
+            if self._processes is not None and self._processes.config == config:
                 self._processes.stop()
-            self._processes = None
+                self._processes = None
 
 
 _RUN: Final = _Run()
@@ -227,21 +227,43 @@ def _processes(config: RunConfig, version: str) -> EpisodeProcesses:
     return _RUN.processes(config)
 
 
-async def _stop_processes() -> None:
-    """Ends the episode processes; runs in each Dask worker."""
-    _RUN.stop()
+async def _stop_processes(config: RunConfig) -> None:
+    """Ends the episode processes of a run; runs in each Dask worker."""
+    _RUN.stop(config)
 
 
-def _stop_driving(client: Any) -> None:
+def _stop_driving(client: Any, config: RunConfig) -> None:
     """Asks the workers to end the run, without waiting for them."""
     if client.status == "running":
         with suppress(OSError):  # The cluster may be closing, too.
-            client.run(_stop_processes, wait=False)
+            client.run(_stop_processes, config, wait=False)
 
 
 def dask_setup(_: Any) -> None:
     """Makes a worker of a local cluster ignore Ctrl-C, which the runner handles."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def kept_cluster(address: str) -> Iterator[str]:
+    """Keeps one cluster for several runs; a local one is started here, once.
+
+    Args:
+        address: As of ``DaskExecutor``.
+
+    Yields:
+        The address for each run's ``DaskExecutor``.
+
+    Raises:
+        RunError: It is not such an address.
+    """
+    DaskExecutor(address)
+    if not address.startswith(_LOCAL):
+        yield address
+        return
+    _silence_dask()
+    with _local_cluster(int(address.removeprefix(_LOCAL))) as started:
+        yield started
 
 
 @contextmanager

@@ -55,7 +55,7 @@ from dosplan.system.locks import exclusive
 from dosplan.system.provenance import content_digest, describe_environment
 from dosplan.types import Outcome, Score
 
-__all__ = ["RunConfig", "RunError", "run"]
+__all__ = ["RunConfig", "RunError", "describe", "run"]
 
 SCENARIO_FILES: Final = "scenario files"
 """Key of the digest of the scenario files, in the order of the scenarios."""
@@ -116,6 +116,28 @@ def run(
         if config.solutions:
             write_solutions(folder, refs, manifest)
     return folder
+
+
+def describe(config: RunConfig) -> RunManifest:
+    """Tells what a run would drive, and finds what would keep it from starting; writes nothing.
+
+    Args:
+        config: The run.
+
+    Returns:
+        What ``run.json`` would hold.
+
+    Raises:
+        RunError: As of ``run``.
+        RegistryError: Likewise.
+        ScenarioError: Likewise.
+        SelectionError: Likewise.
+    """
+    refs = _chosen(config)
+    folder, wanted = RunFolder(config.out), _manifest(config, refs)
+    if folder.manifest.exists():
+        _check_same(folder, read_manifest(folder), wanted, refs)
+    return wanted
 
 
 def _chosen(config: RunConfig) -> list[ScenarioRef]:

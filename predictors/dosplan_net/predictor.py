@@ -84,6 +84,7 @@ class NetPredictor(Predictor):
 
     name = "net-v3"
     settings = NetSettings
+    has_sets = False
 
     def __init__(self, *, seed: int = 0, settings: NetSettings = NetSettings()) -> None:
         """Loads the network.

@@ -43,6 +43,7 @@ class NonePredictor(Predictor):
     """Predicts no road user: the planner drives as on an empty road."""
 
     name = "none-v1"
+    has_sets = False
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         """Marks every road user as not predicted.
@@ -61,6 +62,8 @@ class NonePredictor(Predictor):
 
 class KinematicPredictor(Predictor):
     """Constant velocity on a circular arc; what differs is the turn rate."""
+
+    has_sets = False
 
     @abstractmethod
     def turn_rate(self, observation: Observation) -> FloatArray:
@@ -191,6 +194,7 @@ class GroundTruthPredictor(OraclePredictor):
     """
 
     name = "ground-truth-v1"
+    has_sets = False
 
     def __init__(self, *, seed: int = 0, settings: PredictorSettings = PredictorSettings()) -> None:
         """Begins without a recording.

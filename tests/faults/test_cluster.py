@@ -24,6 +24,7 @@ from dosplan.running import dask_cluster as cluster
 from dosplan.running.job import Task
 from dosplan.running.progress import ProgressObserver
 from dosplan.running.run import RunError, run
+from dosplan.running.sweep import one_executor
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
 from dosplan.types import Arm
 from tests.support.runs import (
@@ -233,3 +234,18 @@ def test_a_worker_that_would_give_other_rows_or_cannot_isolate_is_refused(
     monkeypatch.setitem(multiprocessing.current_process()._config, "daemon", True)  # type: ignore[attr-defined]
     with pytest.raises(RunError, match=r"are daemons.*--no-nanny"):
         cluster._drive(Task(ref, Arm.WITH_DOS), config, __version__)
+
+
+@pytest.mark.slow
+def test_one_cluster_serves_the_runs_of_a_sweep_one_after_another(
+    scenes: Path, undisturbed: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    started = []
+    with one_executor(1, "local:2") as executor:
+        for name in ("a", "b", "c"):
+            run(configured(tmp_path / name, scenes, cluster="local:2"), executor=executor)
+            assert isinstance(executor, cluster.DaskExecutor)
+            started.append(executor.address)
+            assert untimed(tmp_path / name) == undisturbed
+    assert len(set(started)) == 1
+    assert started[0].startswith("tcp://127.0.0.1:")

@@ -9,7 +9,10 @@ import pytest
 from dosplan_baseline.brake import BrakePlanner
 from dosplan_simple.predictors import ConstantVelocityPredictor
 
-from dosplan.api import Planner, Predictor
+from dosplan.api import Planner, PluginError, Predictor
+from dosplan.scenario.synthetic import busy_scenario, growing_sets
+from dosplan.simulation.world import watch
+from dosplan.types import Observation, Occupancy
 
 
 def other(self: object, *arguments: object) -> Any:
@@ -48,3 +51,17 @@ def test_a_second_base_cannot_smuggle_one_in() -> None:
 
 def test_hooks_may_be_overridden() -> None:
     assert issubclass(type("Mine", (BrakePlanner,), {"compute_plan": other}), Planner)
+
+
+def test_a_predictor_that_says_it_has_no_sets_has_none() -> None:
+    class Odd(ConstantVelocityPredictor):
+        name = "odd-v1"
+
+        def compute_occupancy(self, observation: Observation) -> Occupancy:
+            return growing_sets(observation, self.horizon)
+
+    observation = next(iter(watch(busy_scenario(), 10)))
+    with pytest.raises(PluginError, match="its sets have an extent; set has_sets = True"):
+        Odd().predict(observation)
+    Odd.has_sets = True
+    assert Odd().predict(observation).semi_axes.any()

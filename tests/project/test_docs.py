@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from docs.schema import METRICS_PAGE, PAGE, metrics_page, page_with_tables
+from dosplan.cli.main import main
 from dosplan.plugins.loops import record_loop
 from dosplan.simulation.settings import IDEAL, REALISTIC
+from dosplan.system.files import read_json
+from tests.support.runs import write_scenes
 
 
 def test_the_keys_of_a_run_folder_are_those_of_the_dataclasses() -> None:
@@ -39,6 +45,32 @@ def test_the_page_of_the_loop_has_every_setting_and_its_realistic_value() -> Non
     for name, (ideal, realistic) in told.items():
         assert realistic == meant[1][name], name
         assert ideal in ("-", meant[0][name]), name
+
+
+def test_the_commands_of_the_page_on_sweeps_do_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = PAGE.with_name("sweep.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    (file,), (commands,), (code,) = (
+        re.findall(f"```{kind}\n(.*?)```", page, re.DOTALL) for kind in ("yaml", "sh", "python")
+    )
+    write_scenes(tmp_path / "scenes", 3)
+    Path("mine.yaml").write_text(file.replace("source: suite", "source: scenes"))
+    for line in commands.splitlines():
+        command = shlex.split(line, comments=True)[1:]
+        assert main(command) == 0, (command, capsys.readouterr().err)
+        if "--dry-run" in command:
+            assert "4 runs, 18 episodes left to drive" in capsys.readouterr().out
+    names = [f"planner={a},sets={b}" for a in ("cruise", "idm") for b in ("points", "circles")]
+    assert sorted(path.name for path in Path("runs/mine").iterdir() if path.is_dir()) == sorted(
+        names
+    )
+    assert len(read_json(Path("table.json"))["blocks"][0]["rows"]) == 3
+    shown = capsys.readouterr().out
+    assert "| Minus planner=idm,sets=circles:with_dos | Arm |" in shown
+    exec(code)
+    assert "Figure(value=" in capsys.readouterr().out
 
 
 def _leaves(settings: dict[str, Any], inside: str = "") -> Iterator[tuple[str, Any]]:

@@ -1,0 +1,223 @@
+"""A table of runs as text: for the terminal, Markdown, CSV and LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+from dosplan.results.markdown import ARM_TITLES, Cells, aligned, markdown
+from dosplan.results.paired import Difference
+from dosplan.results.table import Block, Figure, Row, Table
+from dosplan.scoring.metrics import Metric
+
+
+def markdown_table(table: Table) -> str:
+    """Writes a table as Markdown.
+
+    Args:
+        table: The table.
+
+    Returns:
+        For each block its title and tables, and the notes.
+    """
+    parts = []
+    for block in table.blocks:
+        parts += [f"**{block.title}**", *(markdown(*cells) for cells in block_cells(table, block))]
+    return "\n\n".join([*parts, *notes(table)]) + "\n"
+
+
+def plain_table(table: Table) -> str:
+    """Writes a table as text in columns.
+
+    Args:
+        table: The table.
+
+    Returns:
+        For each block its title and tables, and the notes.
+    """
+    parts = []
+    for block in table.blocks:
+        parts += [block.title, *(aligned(*cells) for cells in block_cells(table, block))]
+    return "\n\n".join([*parts, *notes(table)])
+
+
+def latex_table(table: Table) -> str:
+    """Writes a table for LaTeX, with the package ``booktabs``.
+
+    Args:
+        table: The table.
+
+    Returns:
+        A ``tabular`` for each of a block's tables, the notes as comments.
+    """
+    parts = []
+    for block in table.blocks:
+        for headings, rows in block_cells(table, block):
+            columns = "l" * 2 + "r" * (len(headings) - 2)
+            lines = [" & ".join(map(_latex, cells)) + r" \\" for cells in (headings, *rows)]
+            parts.append(
+                "\n".join(
+                    [
+                        f"% {block.title}",
+                        rf"\begin{{tabular}}{{{columns}}}",
+                        r"\toprule",
+                        lines[0],
+                        r"\midrule",
+                        *lines[1:],
+                        r"\bottomrule",
+                        r"\end{tabular}",
+                    ]
+                )
+            )
+    return "\n\n".join([*parts, *(f"% {note}" for note in notes(table))]) + "\n"
+
+
+def csv_table(table: Table) -> str:
+    """Writes a table as CSV, one line for each row; shares are between 0 and 1.
+
+    Args:
+        table: The table.
+
+    Returns:
+        A line of headings and the rows of all blocks. Of each metric there are the figure, the ends
+        of its interval, and, against the baseline, difference, ends and both p.
+    """
+    told = ("planner", "predictor", "traffic", "loop", "futures", "seed", "ranked", "n", "places")
+    axes = list(dict.fromkeys(a for block in table.blocks for r in block.rows for a in r.values))
+    headings = ["scenarios", "run", "arm", *axes, *told, "baseline"]
+    for name in table.columns:
+        headings += [name, f"{name}_low", f"{name}_high"]
+        headings += [f"{name}_{part}" for part in _DIFFERENCE]
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(headings)
+    for block in table.blocks:
+        for row in block.rows:
+            cells: list[Any] = [block.title, row.run, row.arm.value]
+            cells += [row.values.get(axis) for axis in axes]
+            cells += [getattr(row, name) for name in told]
+            cells.append(block.baseline)
+            for name in table.columns:
+                figure, found = row.figures[name], row.differences.get(name)
+                cells += [figure.value, figure.low, figure.high]
+                cells += [getattr(found, part, None) for part in _DIFFERENCE.values()]
+            writer.writerow(cells)
+    return file.getvalue()
+
+
+_DIFFERENCE: Final = {
+    "difference": "difference",
+    "difference_low": "low",
+    "difference_high": "high",
+    "only_here": "only_b",
+    "only_baseline": "only_a",
+    "p": "p",
+    "p_places": "p_places",
+}
+
+FORMATS: Final[Mapping[str, Callable[[Table], str]]] = MappingProxyType(
+    {"markdown": markdown_table, "csv": csv_table, "latex": latex_table}
+)
+"""How to write a table, by name."""
+
+
+def block_cells(table: Table, block: Block) -> list[Cells]:
+    """Lays a block out in tables.
+
+    Args:
+        table: The table.
+        block: One of its blocks.
+
+    Returns:
+        The figures of each row; and, where there is a baseline, the differences from it.
+    """
+    mixed = len({(row.traffic, row.loop, row.futures) for row in block.rows}) > 1
+    seeds = len({row.seed for row in block.rows}) > 1
+    names = ["Run", "Arm", *(["World"] if mixed else []), *(["Seed"] if seeds else [])]
+
+    def named(row: Row) -> list[str]:
+        world = f"{row.traffic}, {row.loop}, {row.futures} futures"
+        more = [*([world] if mixed else []), *([str(row.seed)] if seeds else [])]
+        return [row.run + ("" if row.ranked else " *"), ARM_TITLES[row.arm], *more]
+
+    shown = table.metrics
+    figures = (
+        [*names, "n", *(metric.heading for metric in shown)],
+        [
+            [*named(row), str(row.n), *(_figure(m, row.figures[m.name]) for m in shown)]
+            for row in block.rows
+        ],
+    )
+    compared = [row for row in block.rows if row.differences]
+    if not compared:
+        return [figures]
+    differences = (
+        [f"Minus {block.baseline}", *names[1:], *(metric.heading for metric in shown)],
+        [
+            [*named(row), *(_difference(m, row.differences.get(m.name)) for m in shown)]
+            for row in compared
+        ],
+    )
+    return [figures, differences]
+
+
+def notes(table: Table) -> list[str]:
+    """Says how a table is to be read.
+
+    Args:
+        table: The table.
+
+    Returns:
+        The notes, each a line.
+    """
+    lines = [
+        "95 % intervals in brackets; they take into account which episodes are of one scenario and "
+        "which scenarios of one place."
+    ]
+    compared = sum(bool(row.differences) for block in table.blocks for row in block.rows)
+    if compared:
+        lines.append(
+            "Differences are over the same episodes; p of a share is that of the exact sign-flip "
+            "test by scenarios, of a mean that of the t test by places."
+        )
+    if compared > 1:
+        lines.append(f"{compared} rows are compared: one small p among many proves little.")
+    if any(not row.ranked for block in table.blocks for row in block.rows):
+        lines.append(
+            "*: not ranked, as the predictor may see the future or the run cannot be repeated."
+        )
+    if table.missing:
+        more = f" and {len(table.missing) - 3} more" if len(table.missing) > 3 else ""
+        lines.append(f"Not finished, so not here: {', '.join(table.missing[:3])}{more}.")
+    if alone := [block.title for block in table.blocks if block.baseline is None]:
+        lines.append(f"Without the baseline: {'; '.join(alone)}.")
+    return lines
+
+
+def _figure(metric: Metric, figure: Figure) -> str:
+    if figure.low is None:
+        return metric.shown(figure.value)
+    return f"{metric.shown(figure.value)} [{metric.shown(figure.low)}, {metric.shown(figure.high)}]"
+
+
+def _difference(metric: Metric, found: Difference | None) -> str:
+    if found is None:
+        return "-"
+    text = metric.shown(found.difference, "+")
+    if found.low is not None:
+        text += f" [{metric.shown(found.low, '+')}, {metric.shown(found.high, '+')}]"
+    return text if found.p is None else f"{text} p {found.p:.2g}"
+
+
+_SIGNS: Final = {
+    "\\": r"\textbackslash{}", "_": r"\_", "%": r"\%", "&": r"\&", "#": r"\#", "$": r"\$",
+    "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
+    "²": "$^2$", "³": "$^3$",
+}  # fmt: skip
+
+
+def _latex(text: str) -> str:
+    return "".join(_SIGNS.get(sign, sign) for sign in text)

@@ -96,7 +96,7 @@ def main() -> None:
         "idm": (idm, Arm.WITH_DOS),
         "again": (planner, Arm.WITH_DOS),
     }
-    refs = find_scenarios("suite")[: options.scenarios]
+    refs = find_scenarios("suite-1")[: options.scenarios]
     # What is imported or built at the first use is not what a cycle costs.
     load_scenario(refs[0])
     for driver in (planner, idm):
@@ -394,7 +394,7 @@ def _number(value: float) -> str:  # Three significant figures are enough for a 
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Measures times of dosplan and their ratios.")
-    parser.add_argument("--scenarios", type=int, default=4, metavar="N", help="of the suite")
+    parser.add_argument("--scenarios", type=int, default=4, metavar="N", help="of suite-1")
     parser.add_argument("--planner", default="mpc", help="as for `dosplan run`")
     parser.add_argument("--predictor", default="growing-circle", help="as for `dosplan run`")
     parser.add_argument(

@@ -131,7 +131,7 @@ def _show(figures: dict[str, Any]) -> None:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Compares cycle times with those of the peers.")
-    parser.add_argument("sources", nargs="*", default=["suite"], help="default: suite")
+    parser.add_argument("sources", nargs="*", default=["suite-1"], help="default: suite-1")
     parser.add_argument("--scenarios", type=int, default=4, metavar="N", help="the first N")
     parser.add_argument("--planner", default="mpc", help="as for `dosplan run`")
     parser.add_argument("--predictor", default="constant-velocity", help="as for `dosplan run`")

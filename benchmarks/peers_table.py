@@ -97,8 +97,8 @@ def _cells(row: dict[str, Any]) -> list[str]:
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Drives planners and predictors against another.")
-    parser.add_argument("source", nargs="?", default="suite", help="as for `dosplan run`")
-    parser.add_argument("--name", default="suite", help="of the table (default: %(default)s)")
+    parser.add_argument("source", nargs="?", default="suite-1", help="as for `dosplan run`")
+    parser.add_argument("--name", default="suite-1", help="of the table (default: %(default)s)")
     parser.add_argument("--planners", nargs="+", default=PLANNERS, metavar="PLANNER")
     parser.add_argument(
         "--predictors",

@@ -1,4 +1,4 @@
-"""Drives the baselines through the suite: ``python scenarios/baselines.py``.
+"""Drives the baselines through the first suite: ``python scenarios/baselines.py``.
 
 Writes ``baselines.csv``, each baseline's outcome in each scenario, and prints the table of
 success that stands in ``README.md``.
@@ -28,7 +28,7 @@ def main() -> None:
     """Runs the command."""
     parser = argparse.ArgumentParser(description="Drive the baselines through the suite.")
     parser.add_argument(
-        "--suite", type=Path, default=HERE, help="folder of manifest.csv (default: here)"
+        "--suite", type=Path, default=HERE / "suite-1", help="folder of manifest.csv"
     )
     parser.add_argument("--workers", type=int, default=1, help="processes (default: 1)")
     options = parser.parse_args()

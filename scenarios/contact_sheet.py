@@ -1,4 +1,4 @@
-"""Draws one scenario of each road kind: ``python scenarios/contact_sheet.py``."""
+"""Draws one scenario of each kind of a suite: ``python scenarios/contact_sheet.py``."""
 
 from __future__ import annotations
 
@@ -21,13 +21,11 @@ SIDE = 3.2
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(description="Draw one scenario of each road kind.")
-    parser.add_argument(
-        "--suite", type=Path, default=HERE, help="folder of manifest.csv (default: here)"
-    )
-    parser.add_argument("--out", type=Path, default=HERE / "contact_sheet.png", help="picture")
+    parser = argparse.ArgumentParser(description="Draw one scenario of each kind of a suite.")
+    parser.add_argument("--suite", type=Path, default=HERE / "suite", help="folder of manifest.csv")
+    parser.add_argument("--out", type=Path, help="picture (default: in that folder)")
     options = parser.parse_args()
-    draw_sheet(options.suite, options.out)
+    draw_sheet(options.suite, options.out or options.suite / "contact_sheet.png")
 
 
 def draw_sheet(suite: Path, out: Path) -> None:
@@ -39,15 +37,15 @@ def draw_sheet(suite: Path, out: Path) -> None:
     """
     with (suite / "manifest.csv").open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
-    kinds = list(dict.fromkeys(row["road_kind"] for row in rows))
-    chosen = [_shown([row for row in rows if row["road_kind"] == kind]) for kind in kinds]
+    kinds = list(dict.fromkeys(_kind(row) for row in rows))
+    chosen = [_shown([row for row in rows if _kind(row) == kind]) for kind in kinds]
     scenarios = [load_scenario(suite / row["file"]) for row in chosen]
     lines = -(-len(chosen) // COLUMNS)
     figure = Figure(figsize=(SIDE * COLUMNS, (SIDE + 0.35) * lines + 0.4), layout="constrained")
     grid = figure.subplots(lines, COLUMNS, squeeze=False)
     for axes, row, scenario in zip(grid.flat, chosen, scenarios, strict=False):
         draw_scene(axes, scenario, scenario.task.start_step)
-        axes.set_title(f"{row['road_kind']}\n{row['id']}", fontsize=8)
+        axes.set_title(f"{_kind(row)}\n{row['id']}", fontsize=8)
     figure.legend(
         handles=legend_handles(*scenarios),
         handler_map=dict(LAMP_HANDLER),
@@ -57,8 +55,15 @@ def draw_sheet(suite: Path, out: Path) -> None:
     figure.savefig(out, dpi=110)
 
 
+def _kind(row: Mapping[str, str]) -> str:
+    """The kind of a scenario, which in the first suite is one of roads."""
+    return row.get("kind") or row["road_kind"]
+
+
 def _shown(rows: Sequence[Mapping[str, str]]) -> Mapping[str, str]:
-    """The first of the scenarios with the conflict that has most of the road in it."""
+    """The first scenario; of the first suite, with the conflict that has most of the road in it."""
+    if "defeats_constant_speed" not in rows[0]:
+        return rows[0]
     return min(rows, key=lambda row: CONFLICTS.index(row["defeats_constant_speed"].split()[0]))
 
 

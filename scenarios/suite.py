@@ -15,7 +15,7 @@ from pathlib import Path
 SUMO_VERSION = "1.28.0"
 PACKAGES = ("eclipse-sumo", "sumolib", "libsumo")
 HERE = Path(__file__).resolve().parent
-FOLDERS = {"suite": HERE / "suite", "suite-1": HERE}
+FOLDERS = {"suite": HERE / "suite", "suite-1": HERE / "suite-1"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -17,8 +17,8 @@ Setting = tuple[str, str, Any]
 STDOUT: Final = Path("-")
 PLUGIN_HELP: Final = "a name of `dosplan list`, module:Class or path/to/file.py:Class"
 SOURCE_HELP: Final = (
-    "where the scenarios are: suite, a CommonRoad file, a folder, a quoted glob, a .zip or .tar.*, "
-    "a URL, or @LIST, a text file of such paths and of ids"
+    "where the scenarios are: suite, suite-1, a CommonRoad file, a folder, a quoted glob, a .zip "
+    "or .tar.*, a URL, or @LIST, a text file of such paths and of ids"
 )
 
 
@@ -71,9 +71,9 @@ def is_source(text: str) -> bool:
     """
     from dosplan.scenario.commonroad.document import SUFFIXES
     from dosplan.scenario.sources.archives import ENDINGS
-    from dosplan.scenario.sources.fetch import LIST, SUITE
+    from dosplan.scenario.sources.fetch import LIST, SUITES
 
-    if text == SUITE or text.startswith(LIST) or "://" in text or Path(text).exists():
+    if text in SUITES or text.startswith(LIST) or "://" in text or Path(text).exists():
         return True
     if ":" in text:  # An id that names its file, as of several files with one id.
         return False

@@ -31,7 +31,7 @@ class BenchCommand:
             type=_count,
             default=10,
             metavar="N",
-            help="suite scenarios to drive with one and two workers (default: %(default)s)",
+            help="scenarios of suite-1 to drive with one and two workers (default: %(default)s)",
         )
         parser.add_argument(
             "--episodes",

@@ -72,7 +72,7 @@ class RenderCommand:
         parser.add_argument(
             "--source",
             metavar="SOURCE",
-            help="where the scenarios lie (default: where the run found them; else the suite)",
+            help="where the scenarios lie (default: where the run found them; else the suites)",
         )
         parser.add_argument(
             "--planner", help=f"drive SCENARIO with this planner first: {PLUGIN_HELP}"
@@ -174,7 +174,7 @@ def _scenario(options: argparse.Namespace) -> ScenarioRef:
     """The scenario of a file, or of an id in a source."""
     from dosplan.results.drive import find_scenario
     from dosplan.scenario import find_scenarios
-    from dosplan.scenario.sources.fetch import SUITE
+    from dosplan.scenario.sources.catalogue import suites_of
 
     what = options.what
     if (Path(what) / "run.json").is_file():
@@ -184,7 +184,7 @@ def _scenario(options: argparse.Namespace) -> ScenarioRef:
             raise CommandError(
                 f"{what} does not exist; name a scenario file, or the id of one in --source"
             )
-        return find_scenario(what, options.source or SUITE)
+        return find_scenario(what, options.source or suites_of([what]))
     refs = find_scenarios(what)
     if len(refs) > 1:
         raise CommandError(

@@ -155,10 +155,10 @@ def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
         "names",
         nargs="*",
         metavar="SOURCE|ID",
-        help=f"{SOURCE_HELP}; or ids of scenarios (default: suite)",
+        help=f"{SOURCE_HELP}; or ids of scenarios (default: suite, all of it)",
     )
     parser.add_argument(
-        "--source", metavar="SOURCE", help="where the ids are looked up (default: suite)"
+        "--source", metavar="SOURCE", help="where the ids are looked up (default: the suites)"
     )
     parser.add_argument(
         "--only",
@@ -280,11 +280,11 @@ def _add_how_to_drive(parser: argparse.ArgumentParser) -> None:
 
 def _what(names: Sequence[str], source: str | None) -> tuple[Source, tuple[str, ...]]:
     """The source, or several, and the ids that are wanted of it; none wants all."""
-    from dosplan.scenario.sources.fetch import SUITE
+    from dosplan.scenario.sources.catalogue import suites_of
 
     sources = [name for name in names if is_source(name)]
     if not sources:
-        return source or SUITE, tuple(names)
+        return source or suites_of(names), tuple(names)
     if source is not None:
         raise CommandError(
             f"--source {source} is where ids are looked up, and {sources[0]} is no id: name the "

@@ -32,6 +32,8 @@ from dosplan.system.workers import WORKER_ENVIRONMENT, environment
 from dosplan.types import Arm, EpisodeKey
 
 MILLION: Final = 1_000_000
+SUITE: Final = "suite-1"
+"""What is driven: always the same, so that the figures of versions can be compared."""
 _WRITES: Final = 200
 _SETTLED: Final = 0.1  # Share of a run after which the runner's memory is compared.
 _TINY: Final = """\
@@ -86,7 +88,7 @@ def measure_scale(
     Args:
         planner: Planner, as ``dosplan.plugins.registry`` finds it.
         predictor: Predictor, likewise.
-        scenarios: Number of suite scenarios to drive with one and with two workers.
+        scenarios: Number of scenarios of ``SUITE`` to drive with one and with two workers.
         episodes: Number of tiny episodes that show what an episode costs the runner.
         tell: Called with the name of the next measurement.
 
@@ -95,7 +97,9 @@ def measure_scale(
         ``million``.
     """
     with TemporaryDirectory() as name:
-        base = RunConfig(out=Path(name) / "unused", planner=planner, predictor=predictor)
+        base = RunConfig(
+            out=Path(name) / "unused", source=SUITE, planner=planner, predictor=predictor
+        )
         tell(f"{episodes} tiny episodes")  # First, while this process is as small as a runner is.
         source = _write_tiny(Path(name) / "tiny", episodes // 2)
         tiny_config = replace(base, planner="cruise", predictor="none", workers=2)
@@ -104,7 +108,7 @@ def measure_scale(
         )
         drives = {}
         for workers in (1, 2):
-            tell(f"{scenarios} scenarios of the suite in both arms, workers: {workers}")
+            tell(f"{scenarios} scenarios of {SUITE} in both arms, workers: {workers}")
             config = replace(base, out=Path(name) / f"{workers}", limit=scenarios, workers=workers)
             drives[str(workers)] = _measure_run(config, 2 * scenarios)
         tell("start of a worker, listing and writing")
@@ -124,7 +128,7 @@ def measure_scale(
 
 def _measure_start(config: RunConfig) -> dict[str, float]:
     """What the first episode of a worker costs more than the second: imports and plug-ins."""
-    ref = find_scenarios("suite")[0]
+    ref = find_scenarios(SUITE)[0]
     seconds = []
     process = EpisodeProcess(config)
     try:
@@ -160,7 +164,7 @@ def _measure_run(config: RunConfig, episodes: int) -> dict[str, float]:
 def _measure_parts(config: RunConfig, place: Path) -> dict[str, float]:
     """What the runner does for each scenario before, and for each episode while it drives."""
     started = time.perf_counter()
-    refs = find_scenarios(Path(find_scenarios("suite")[0].path).parent)
+    refs = find_scenarios(Path(find_scenarios(SUITE)[0].path).parent)
     listed = time.perf_counter()
     content_digest(ref.path for ref in refs)
     digested = time.perf_counter()

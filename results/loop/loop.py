@@ -48,7 +48,7 @@ from dosplan.system.files import FileError, read_json, write_json, write_text
 from dosplan.types import Arm, Score
 
 TRAFFICS: Final = ("replay", "reactive", "sumo")
-SUITE: Final = "suite"
+SUITE: Final = "suite"  # The first one.
 RECORDED: Final = "recorded"
 HERE: Final = Path(__file__).parent
 METRICS: Final = ("success", "collision", "at_fault_collision", "safe", "velocity")
@@ -169,7 +169,7 @@ def drive(
                 place = cell.folder(runs, source)
                 config = RunConfig(
                     out=place,
-                    source=SUITE if source == SUITE else _recordings(data),
+                    source="suite-1" if source == SUITE else _recordings(data),
                     traffic=cell.traffic,
                     loop=cell.loop.base,
                     loop_options=cell.loop.options,

@@ -22,6 +22,8 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_rows
 from dosplan.running.run import RunConfig
+from dosplan.scenario import find_scenarios
+from dosplan.scenario.sources.catalogue import find_ids
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import read_json
 from dosplan.types import Arm, EpisodeKey
@@ -470,3 +472,22 @@ def test_json_is_json(finished: tuple[Path, Path]) -> None:
     out, _ = finished
     for line in (out / "scenarios.jsonl").read_text().splitlines():
         assert json.loads(line)["outcome"] in ("success", "goal_missed")
+
+
+def test_ids_are_looked_up_in_the_suites(monkeypatch: pytest.MonkeyPatch) -> None:
+    old, new = "ZAM_Zebra-7_1_T-1", find_scenarios("suite")[0].id
+    for names, source in (
+        ([old], "suite-1"),
+        ([new], "suite"),
+        ([new, old], ("suite", "suite-1")),
+        ([new, "ZAM_None-1_1_T-1"], "suite"),
+    ):
+        config = _configured(monkeypatch, *names)
+        assert (config.source, config.ids) == (source, tuple(names))
+    assert find_ids(("suite", "suite-1"), [new, old])[1].path.parts[-3] == "suite-1"
+
+
+def test_suites_are_sources_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["list", "scenarios", "suite-1"]) == cli.OK
+    assert "150 scenarios" in capsys.readouterr().out
+    assert "a suite: suite or suite-1" in _complaint(capsys, ["list", "scenarios", "suite-2"])

@@ -43,7 +43,7 @@ onnx = pytest.importorskip("onnx", reason='needs onnx: pip install "dosplan[onnx
 
 CLOSE = 1e-3  # m
 # One of each family.
-REFS = {ref.id.partition("-")[0]: ref for ref in find_scenarios("suite")}.values()
+REFS = {ref.id.partition("-")[0]: ref for ref in find_scenarios("suite-1")}.values()
 
 
 def export(*arguments: object) -> int:

@@ -103,9 +103,9 @@ def test_drive_begins_with_what_tells_most_and_leaves_the_bench_out(
     assert ("sumo", "ideal", "recorded") not in order
     assert len(order) == len(set(order)) == 10 * 5
     recordings = (str(Path("data") / "train"), str(Path("data") / "val"))
-    assert {config.source for config in asked} == {"suite", recordings}
+    assert {config.source for config in asked} == {"suite-1", recordings}
     assert {config.arms for config in asked} == {tuple(Arm)}
-    assert {(config.source == "suite", config.sample) for config in asked} == {
+    assert {(config.source == "suite-1", config.sample) for config in asked} == {
         (True, 3),
         (False, 2),
     }

@@ -48,7 +48,7 @@ def test_own_planner_of_the_readme_is_checked_and_driven(
     assert "did you mean 'gap'?" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("run", ["suite", "recorded"])
+@pytest.mark.parametrize("run", ["suite-1", "recorded"])
 def test_tables_are_those_of_the_published_runs(run: str) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = text.split(f"<!-- {run} table: begin -->", 1)[1].split(f"<!-- {run} table: end -->")[0]
@@ -57,7 +57,7 @@ def test_tables_are_those_of_the_published_runs(run: str) -> None:
     assert shown.strip() == "\n\n".join(blocks[:2])
 
 
-@pytest.mark.parametrize("run", ["suite", "recorded"])
+@pytest.mark.parametrize("run", ["suite-1", "recorded"])
 def test_published_figures_follow_from_their_rows(run: str) -> None:
     folder = ROOT / "results" / run
     rows = read_rows(folder / "scenarios.jsonl")

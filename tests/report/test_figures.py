@@ -48,7 +48,7 @@ TIMES = {"predict": 5.0, "solver": 8.0, "plan_rest": 2.0, "cycle": 15.0, "cycle_
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The published results; calibration and timings, which take a measurement, are made up."""
     folder = tmp_path_factory.mktemp("results")
-    for part in ("prediction", "suite", "recorded"):
+    for part in ("prediction", "suite-1", "recorded"):
         shutil.copytree(SHIPPED / part, folder / part)
     labels = {f"at {level:g}": {"coverage": level} for level in LEVELS}
     labels["at all steps"] = {"coverage": 0.9, "simultaneous": True}
@@ -234,7 +234,7 @@ def test_cycle_time_shows_every_part_of_the_timings(published: Published) -> Non
 
 def test_representations_are_what_the_shipped_weights_predict(published: Published) -> None:
     figure = representations.draw(published)
-    refs = find_scenarios("suite")
+    refs = find_scenarios("suite-1")
     scenario = load_scenario(next(ref for ref in refs if ref.id == representations.SCENE))
     panels = figure.axes[: len(representations.METHODS)]
     for axes, (title, options) in zip(panels, representations.METHODS.items(), strict=True):
@@ -301,7 +301,7 @@ def _font_sizes(figure: Figure) -> list[float]:
 def test_what_is_missing_costs_one_figure_and_is_one_line(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copytree(results / "suite", tmp_path / "suite")
+    shutil.copytree(results / "suite-1", tmp_path / "suite-1")
     names = ["planning", "calibration", "cycle-time"]
     options = ["--results", str(tmp_path), "--out", str(tmp_path / "out")]
     assert main(["figures", *names, *options]) == FAILED
@@ -376,8 +376,8 @@ def test_a_method_that_was_not_evaluated_is_named(results: Path, tmp_path: Path)
 
 
 def test_an_arm_in_which_nobody_drove_is_told(results: Path, tmp_path: Path) -> None:
-    shutil.copytree(results / "suite", tmp_path / "suite")
-    path = tmp_path / "suite" / "scenarios.jsonl"
+    shutil.copytree(results / "suite-1", tmp_path / "suite-1")
+    path = tmp_path / "suite-1" / "scenarios.jsonl"
     rows = [
         row
         if row.arm is Arm.WITH_DOS
@@ -385,7 +385,7 @@ def test_an_arm_in_which_nobody_drove_is_told(results: Path, tmp_path: Path) -> 
         for row in read_rows(path)
     ]
     write_rows(path, rows)
-    with pytest.raises(FileError, match=r"suite holds an arm in which no step was driven"):
+    with pytest.raises(FileError, match=r"suite-1 holds an arm in which no step was driven"):
         planning.draw(Published(tmp_path))
 
 

@@ -13,7 +13,7 @@ from dosplan.system.files import FileError, read_json, write_json
 PUBLISHED = Path(__file__).parents[2] / "results"
 
 
-@pytest.mark.parametrize("name", ["suite", "recorded"])
+@pytest.mark.parametrize("name", ["suite-1", "recorded"])
 def test_published_summaries_follow_from_their_rows(name: str, tmp_path: Path) -> None:
     copy = tmp_path / "run"
     shutil.copytree(PUBLISHED / name, copy)
@@ -30,7 +30,7 @@ def test_published_summaries_follow_from_their_rows(name: str, tmp_path: Path) -
 
 def test_no_summary_is_an_error_of_one_line(tmp_path: Path) -> None:
     copy = tmp_path / "run"
-    shutil.copytree(PUBLISHED / "suite", copy)
+    shutil.copytree(PUBLISHED / "suite-1", copy)
     (copy / "summary.json").unlink()
     with pytest.raises(FileError, match=r"summary\.json"):
         rewrite_summary(copy)

@@ -20,7 +20,7 @@ from dosplan.types import Arm, EpisodeKey, Outcome
 PUBLISHED = Path(__file__).parents[2] / "results"
 
 
-@pytest.mark.parametrize("name", ["suite", "recorded"])
+@pytest.mark.parametrize("name", ["suite-1", "recorded"])
 def test_a_published_run_opens_and_is_written_back_as_it_was(name: str, tmp_path: Path) -> None:
     published = RunFolder(PUBLISHED / name)
     manifest, rows = read_run(published.path)
@@ -48,7 +48,7 @@ def test_a_published_run_opens_and_is_written_back_as_it_was(name: str, tmp_path
 
 def test_a_key_that_is_absent_has_its_default(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path)
-    content = read_json(PUBLISHED / "suite" / "run.json")
+    content = read_json(PUBLISHED / "suite-1" / "run.json")
     del content["started"], content["config"]["solutions"]
     content["config"]["of a newer version"] = 3
     folder.manifest.write_text(json.dumps(content))
@@ -69,7 +69,7 @@ def test_a_summary_of_another_type_is_one_line_that_names_the_key(
     tmp_path: Path, place: list[str], value: object, told: str
 ) -> None:
     folder = RunFolder(tmp_path)
-    content: Any = read_json(PUBLISHED / "suite" / "summary.json")
+    content: Any = read_json(PUBLISHED / "suite-1" / "summary.json")
     part = content
     for key in place[:-1]:
         part = part[key]

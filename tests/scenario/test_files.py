@@ -115,7 +115,7 @@ def test_speed_across_the_body_counts_where_the_file_names_it(tmp_path: Path) ->
 
 def test_speeds_of_the_suite_are_displacements_per_step() -> None:
     """The middle step of three: (p(t + 1) - p(t - 1)) / 2 dt is v(t) to the second order."""
-    for ref in find_scenarios("suite")[::50]:
+    for ref in find_scenarios("suite-1")[::50]:
         scenario = load_scenario(ref, cached=True)
         states, valid = scenario.tracks.states, scenario.tracks.valid
         passed = np.linalg.norm(states[:, 2:, :2] - states[:, :-2, :2], axis=-1) / 0.2
@@ -384,18 +384,21 @@ def test_suite_lists_its_manifest(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     package = tmp_path / "dosplan"
     package.mkdir()
     module = package / "scenario" / "sources" / "catalogue.py"
-    (tmp_path / "scenarios").mkdir()
+    folder = tmp_path / "scenarios" / "suite-1"
+    folder.mkdir(parents=True)
     manifest = "id,file,sha256\nZAM_X-1_1_T-1,files/x.xml.gz,0\nZAM_Y-1_1_T-1@4,files/y.xml.gz,0\n"
-    (tmp_path / "scenarios" / "manifest.csv").write_text(manifest)
+    (folder / "manifest.csv").write_text(manifest)
     monkeypatch.setattr(catalogue, "__file__", str(module))
-    folder = tmp_path / "scenarios" / "files"
-    assert find_scenarios("suite") == [
-        ScenarioRef(folder / "x.xml.gz", "ZAM_X-1_1_T-1"),
-        ScenarioRef(folder / "y.xml.gz", "ZAM_Y-1_1_T-1@4", 4),
+    assert find_scenarios("suite-1") == [
+        ScenarioRef(folder / "files" / "x.xml.gz", "ZAM_X-1_1_T-1"),
+        ScenarioRef(folder / "files" / "y.xml.gz", "ZAM_Y-1_1_T-1@4", 4),
     ]
-    (package / "_suite").mkdir()
-    (package / "_suite" / "manifest.csv").write_text("id,file,sha256\nZAM_Z-1_1_T-1,z.xml,0\n")
-    assert find_scenarios("suite") == [ScenarioRef(package / "_suite" / "z.xml", "ZAM_Z-1_1_T-1")]
+    with pytest.raises(ScenarioError, match=r"suite.manifest\.csv: cannot be read"):
+        find_scenarios("suite")
+    installed = package / "_suites" / "suite"
+    installed.mkdir(parents=True)
+    (installed / "manifest.csv").write_text("id,file,sha256\nZAM_Z-1_1_T-1,z.xml,0\n")
+    assert find_scenarios("suite") == [ScenarioRef(installed / "z.xml", "ZAM_Z-1_1_T-1")]
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ def test_a_tag_counts_as_a_whole_and_a_broken_file_has_none(source: Path) -> Non
 
 
 def test_the_suite_is_chosen_from_by_its_kinds_of_road() -> None:
-    refs = find_scenarios("suite")
+    refs = find_scenarios("suite-1")
     rings = matching(refs, ["roundabout"])
     assert {ref.id.split("-")[0] for ref in rings} == {"ZAM_Roundabout"}
     assert {ref.id.split("-")[0] for ref in matching(refs, ["parked cars"])} == {"ZAM_Parked"}
@@ -106,7 +106,7 @@ def test_ids_are_found_in_their_order(source: Path) -> None:
         "DEU_Ring-1_1_T-1",
         "USA_Way-1_1_T-1@100",
     ]
-    assert _names(find_ids("suite", ["ZAM_Zebra-7_1_T-1"])) == ["ZAM_Zebra-7_1_T-1"]
+    assert _names(find_ids("suite-1", ["ZAM_Zebra-7_1_T-1"])) == ["ZAM_Zebra-7_1_T-1"]
     with pytest.raises(ScenarioError, match=r"DEU_Rign-1_1_T-1; did you mean 'DEU_Ring-1"):
         find_ids(source, ["DEU_Rign-1_1_T-1"])
 
@@ -123,7 +123,7 @@ def test_several_sources_are_one(source: Path, tmp_path: Path) -> None:
         f"DEU_Ring-1_1_T-1:{source}/DEU_Ring-1_1_T-1.xml",
         f"DEU_Ring-1_1_T-1:{other}",
     ]
-    assert len(find_scenarios(["suite", other])) == len(find_scenarios("suite")) + 1
+    assert len(find_scenarios(["suite-1", other])) == len(find_scenarios("suite-1")) + 1
     assert _names(find_scenarios(["ZAM_Zebra-7_1_T-1", other])) == [
         "ZAM_Zebra-7_1_T-1",
         "DEU_Ring-1_1_T-1",

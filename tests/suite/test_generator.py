@@ -1,4 +1,4 @@
-"""The suite's generator rebuilds the same bytes anywhere."""
+"""The generator of the first suite rebuilds the same bytes anywhere."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
+FIRST = SCENARIOS / "suite-1"
 COUNT = 3
 SUMO_VERSION = "1.28.0"
 
@@ -43,7 +44,7 @@ def _build(out: Path, folder: Path, hash_seed: str, *arguments: str) -> None:
 
 
 def test_rebuilds_the_committed_files(tmp_path: Path) -> None:
-    with (SCENARIOS / "manifest.csv").open(newline="", encoding="utf-8") as stream:
+    with (FIRST / "manifest.csv").open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))[:COUNT]
     seed = rows[0]["source"].split()[-1]
     elsewhere = tmp_path / "elsewhere"
@@ -53,13 +54,13 @@ def test_rebuilds_the_committed_files(tmp_path: Path) -> None:
         _build(out, folder, hash_seed, "--seed", seed, "--count", str(COUNT))
         for row in rows:
             rebuilt = (out / row["file"]).read_bytes()
-            assert rebuilt == (SCENARIOS / row["file"]).read_bytes(), row["id"]
+            assert rebuilt == (FIRST / row["file"]).read_bytes(), row["id"]
         for made in (out / "sumo-files").iterdir():
-            assert made.read_bytes() == (SCENARIOS / "sumo-files" / made.name).read_bytes()
+            assert made.read_bytes() == (FIRST / "sumo-files" / made.name).read_bytes()
         with (out / "manifest.csv").open(newline="", encoding="utf-8") as stream:
             assert list(csv.DictReader(stream)) == rows
         drives, committed = (
-            gzip.decompress((place / "drives.csv.gz").read_bytes()) for place in (out, SCENARIOS)
+            gzip.decompress((place / "drives.csv.gz").read_bytes()) for place in (out, FIRST)
         )
         assert committed.startswith(drives)
 
@@ -68,4 +69,4 @@ def test_training_split_has_other_roads(tmp_path: Path) -> None:
     _build(tmp_path, tmp_path, "0", "--seed", "1", "--count", "1", "--split", "train")
     (made,) = (tmp_path / "files").iterdir()
     assert made.name == "ZAM_Signal-501_1_T-1.xml.gz"
-    assert made.read_bytes() != (SCENARIOS / "files" / "ZAM_Signal-1_1_T-1.xml.gz").read_bytes()
+    assert made.read_bytes() != (FIRST / "files" / "ZAM_Signal-1_1_T-1.xml.gz").read_bytes()

@@ -14,7 +14,7 @@ import pytest
 
 from dosplan.types import FloatArray
 
-SUITE = Path(__file__).resolve().parents[2] / "scenarios"
+SUITE = Path(__file__).resolve().parents[2] / "scenarios" / "suite-1"
 Row = dict[str, str]
 
 

@@ -18,7 +18,7 @@ from dosplan.scoring.metrics import find_metric
 from dosplan.system.files import FileError
 from dosplan.types import Arm, Score
 
-RUNS: Final = {"suite": "embedded suite", "recorded": "recorded scenarios"}
+RUNS: Final = {"suite-1": "first suite", "recorded": "recorded scenarios"}
 GOOD: Final = ("success", "safe")
 BAD: Final = ("collision", "at_fault_collision", "out_of_bounds", "goal_missed")
 """Names of the shares that are drawn."""

@@ -1,4 +1,4 @@
-"""The representations: the sets of each, and of PR, in one scene of the suite."""
+"""The representations: the sets of each, and of PR, in one scene of the first suite."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def draw(published: Published) -> Figure:
         RegistryError: The predictor cannot be built.
     """
     del published
-    scenario = load_scenario(next(ref for ref in find_scenarios("suite") if ref.id == SCENE))
+    scenario = load_scenario(next(ref for ref in find_scenarios("suite-1") if ref.id == SCENE))
     rows = -(-len(METHODS) // _COLUMNS)
     figure = style.new_figure(style.PAGE, 1.55 * rows + 0.35)
     panels = figure.subplots(rows, _COLUMNS)

@@ -127,7 +127,7 @@ class Published:
         """Reads the rows of a run.
 
         Args:
-            part: The run's folder, ``suite`` or ``recorded``.
+            part: The run's folder, ``suite-1`` or ``recorded``.
 
         Returns:
             Its rows.

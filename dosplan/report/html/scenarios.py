@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
-from dosplan.scenario.sources.catalogue import Source, suite_road_kinds
-from dosplan.scenario.sources.fetch import SUITE
+from dosplan.scenario.sources.catalogue import Source, suite_kinds
+from dosplan.scenario.sources.fetch import SUITES
 from dosplan.types import Scenario, place_of
 
 ROAD_TAGS: Final = (
@@ -91,7 +91,7 @@ def find_scenes(source: Source, cached: bool) -> Scenes:
         refs = find_scenarios(source)
     except (ScenarioError, OSError) as error:
         return Scenes({}, {}, " ".join(str(error).split()), cached)
-    kinds = suite_road_kinds() if source == SUITE else {}
+    kinds = suite_kinds() if source in SUITES else {}
     return Scenes({ref.id: ref for ref in refs}, kinds, cached=cached)
 
 

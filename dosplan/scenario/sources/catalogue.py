@@ -1,4 +1,4 @@
-"""Finding scenarios: from files of a source, or of the embedded suite, to episodes."""
+"""Finding scenarios: from files of a source, or of an embedded suite, to episodes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from dosplan.scenario.commonroad.document import SUFFIXES, ScenarioError, scan
 from dosplan.scenario.sources.fetch import (
     LIST,
     SUITE,
+    SUITES,
     Candidate,
+    Suites,
     candidates,
     joined_candidates,
     listed_candidates,
@@ -56,7 +58,8 @@ def find_scenarios(source: Source) -> list[ScenarioRef]:
     Hidden files of a folder and XML files that are something else (solutions) are passed over.
 
     Args:
-        source: ``"suite"`` for the embedded suite, or one of these, by its path:
+        source: ``"suite"`` for the embedded suite, ``"suite-1"`` for the first one, or one of
+            these, by its path:
 
             * a ``.xml`` or ``.xml.gz`` file;
             * a folder, which is searched with its subfolders;
@@ -70,7 +73,7 @@ def find_scenarios(source: Source) -> list[ScenarioRef]:
             * the URL of a file, a folder or an archive (``s3://bucket/folder``, whatever fsspec
               reads).
 
-            Several sources are taken together, in their order; an id of the suite may be one.
+            Several sources are taken together, in their order; an id of a suite may be one.
 
     Returns:
         The episodes, ids unique.
@@ -79,14 +82,12 @@ def find_scenarios(source: Source) -> list[ScenarioRef]:
         ScenarioError: Nothing is found, or an archive or a list cannot be used.
     """
     if not isinstance(source, str | Path):
-        suite = {ref.scenario: ref.path for ref in _suite()}
-        refs = _episodes(joined_candidates(source, suite))
-    elif source == SUITE:
-        refs = _suite()
+        refs = _episodes(joined_candidates(source, _suites()))
+    elif source in SUITES:
+        refs = _suite(str(source))
     elif str(source).startswith(LIST):
         listing = Path(str(source).removeprefix(LIST))
-        suite = {ref.scenario: ref.path for ref in _suite()}
-        refs = _episodes(listed_candidates(listing, suite))
+        refs = _episodes(listed_candidates(listing, _suites()))
     else:
         refs = _episodes(candidates(source))
     if not refs:
@@ -135,13 +136,31 @@ def source_text(source: Source) -> str:
     return str(source) if isinstance(source, str | Path) else ", ".join(map(str, source))
 
 
-def suite_road_kinds() -> dict[str, str]:
-    """The kinds of road of the embedded suite, in its own words.
+def suites_of(ids: Sequence[str]) -> str | tuple[str, ...]:
+    """Names the embedded suite that scenarios are of.
+
+    Args:
+        ids: Their ids, with or without a planning problem.
 
     Returns:
-        Kinds by the id of the scenario.
+        The first suite that holds all of them; several where one alone does not; the default one
+        where an id is of none.
     """
-    return {row["id"]: row["road_kind"] for row in _suite_rows()}
+    holds = {name: {i for ref in _suite(name) for i in (ref.id, ref.scenario)} for name in SUITES}
+    whole = [name for name, known in holds.items() if known.issuperset(ids)]
+    if whole:
+        return whole[0]
+    return SUITES if set[str]().union(*holds.values()).issuperset(ids) else SUITE
+
+
+def suite_kinds() -> dict[str, str]:
+    """The kinds of the scenarios of the embedded suites, in the suites' own words.
+
+    Returns:
+        Kinds, or kinds of road, by the id of the scenario.
+    """
+    rows = (row for name in SUITES for row in _suite_rows(name))
+    return {row["id"]: row.get("kind") or row["road_kind"] for row in rows}
 
 
 def stem(path: Path) -> str:
@@ -197,19 +216,23 @@ def _refs(candidate: Candidate) -> list[ScenarioRef] | None:
     return chosen
 
 
-def _suite() -> list[ScenarioRef]:
-    folder = _suite_folder()
-    return [_suite_ref(folder / row["file"], row["id"]) for row in _suite_rows()]
+def _suites() -> Suites:
+    return {name: {ref.scenario: ref.path for ref in _suite(name)} for name in SUITES}
 
 
-def _suite_folder() -> Path:
+def _suite(name: str) -> list[ScenarioRef]:
+    folder = _suite_folder(name)
+    return [_suite_ref(folder / row["file"], row["id"]) for row in _suite_rows(name)]
+
+
+def _suite_folder(name: str) -> Path:
     package = Path(__file__).resolve().parents[2]
-    installed, source = package / "_suite", package.parent / "scenarios"
-    return installed if installed.is_dir() else source
+    installed, source = package / "_suites", package.parent / "scenarios"
+    return (installed if installed.is_dir() else source) / name
 
 
-def _suite_rows() -> list[dict[str, str]]:
-    manifest = _suite_folder() / "manifest.csv"
+def _suite_rows(name: str) -> list[dict[str, str]]:
+    manifest = _suite_folder(name) / "manifest.csv"
     try:
         with manifest.open(newline="", encoding="utf-8") as stream:
             return list(csv.DictReader(stream))

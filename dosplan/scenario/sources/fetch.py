@@ -15,10 +15,16 @@ from dosplan.scenario.sources.download import SCHEMES, downloaded
 LIST: Final = "@"
 """Begins a source that is a list."""
 SUITE: Final = "suite"
-"""The source that is the embedded suite."""
+"""The source that is taken where none is named."""
+SUITES: Final = (SUITE, "suite-1")
+"""The sources that are embedded suites, by their names."""
+
+Suites = Mapping[str, Mapping[str, Path]]
+"""Files of the embedded suites by the name of the suite and the id of their scenario."""
 
 _NOTHING: Final = (
-    'does not exist; name a file, a folder, a quoted glob, an archive, @LIST or "suite"'
+    "does not exist; name a file, a folder, a quoted glob, an archive, @LIST, or a suite: "
+    f"{' or '.join(SUITES)}"
 )
 
 
@@ -57,12 +63,12 @@ def candidates(source: str | Path) -> list[Candidate]:
     return list({candidate.path: candidate for candidate in found}.values())
 
 
-def joined_candidates(sources: Sequence[str | Path], suite: Mapping[str, Path]) -> list[Candidate]:
+def joined_candidates(sources: Sequence[str | Path], suites: Suites) -> list[Candidate]:
     """Finds the files of several sources, as those of a list's lines.
 
     Args:
-        sources: Files, folders, globs, archives, URLs, lists, ids of the suite, or the suite.
-        suite: Files of the embedded suite by the id of their scenario.
+        sources: Files, folders, globs, archives, URLs, lists, suites, or ids of theirs.
+        suites: The embedded suites.
 
     Returns:
         The files, in the order of the sources.
@@ -73,27 +79,27 @@ def joined_candidates(sources: Sequence[str | Path], suite: Mapping[str, Path]) 
     found: list[Candidate] = []
     for entry in map(str, sources):
         if entry.startswith(LIST):
-            found.extend(listed_candidates(Path(entry.removeprefix(LIST)), suite))
-        elif entry == SUITE:
-            found.extend(c for scenario in suite for c in _by_id(Path(), scenario, suite))
-        elif named := _named(Path(), entry, label=entry) or _by_id(Path(), entry, suite):
+            found.extend(listed_candidates(Path(entry.removeprefix(LIST)), suites))
+        elif entry in suites:
+            found.extend(c for name in suites[entry] for c in _by_id(Path(), name, suites))
+        elif named := _named(Path(), entry, label=entry) or _by_id(Path(), entry, suites):
             found.extend(named)
         else:
             raise ScenarioError(Path(entry), _NOTHING)
     return found
 
 
-def listed_candidates(path: Path, suite: Mapping[str, Path]) -> list[Candidate]:
+def listed_candidates(path: Path, suites: Suites) -> list[Candidate]:
     """Finds the files that a list names.
 
     Each line names a file, folder, glob or archive, relative to the list's folder, or the id of a
-    scenario, with or without ``@<problem id>``: one of the embedded suite, or one whose file
+    scenario, with or without ``@<problem id>``: one of an embedded suite, or one whose file
     stands beside the list as ``<id>.xml`` or ``<id>.xml.gz``. Empty lines and those that begin
     with ``#`` are passed over.
 
     Args:
         path: A text file.
-        suite: Files of the embedded suite by the id of their scenario.
+        suites: The embedded suites.
 
     Returns:
         The files, in the order of the list.
@@ -111,11 +117,11 @@ def listed_candidates(path: Path, suite: Mapping[str, Path]) -> list[Candidate]:
         entry = line.strip()
         if not entry or entry.startswith("#"):
             continue
-        named = _named(path.parent, entry, label=entry) or _by_id(path.parent, entry, suite)
+        named = _named(path.parent, entry, label=entry) or _by_id(path.parent, entry, suites)
         if not named:
             raise ScenarioError(
                 path,
-                f"line {number}: {entry} names no scenario; give a path, or the id of one of the "
+                f"line {number}: {entry} names no scenario; give a path, or the id of one of a "
                 "suite or of a file beside the list",
             )
         found.extend(named)
@@ -186,9 +192,10 @@ def _in_folder(folder: Path, label: str) -> list[Candidate]:
     ]
 
 
-def _by_id(folder: Path, wanted: str, suite: Mapping[str, Path]) -> list[Candidate]:
-    """The file of a scenario's id: beside the list, or in the suite."""
+def _by_id(folder: Path, wanted: str, suites: Suites) -> list[Candidate]:
+    """The file of a scenario's id: beside the list, or in a suite."""
     scenario = wanted.partition("@")[0]
     beside = (folder / f"{scenario}{suffix}" for suffix in SUFFIXES)
-    path = next((file for file in beside if file.is_file()), suite.get(scenario))
+    embedded = (files[scenario] for files in suites.values() if scenario in files)
+    path = next((file for file in beside if file.is_file()), next(embedded, None))
     return [] if path is None else [Candidate(path, wanted, chosen=True, wanted=wanted)]

@@ -7,7 +7,7 @@ from hashlib import sha256
 from typing import Final
 
 from dosplan.scenario.commonroad.document import ScenarioError, scan_tags
-from dosplan.scenario.sources.catalogue import ScenarioRef, suite_road_kinds
+from dosplan.scenario.sources.catalogue import ScenarioRef, suite_kinds
 from dosplan.system.errors import DosplanError
 
 _SHOWN: Final = 20  # Tags and kinds that a message names.
@@ -21,7 +21,7 @@ def matching(refs: Sequence[ScenarioRef], texts: Sequence[str]) -> list[Scenario
     """Keeps the scenarios to which one of some texts applies.
 
     A text applies to a scenario where it is part of its id, one of the tags of its file, or part
-    of what the embedded suite calls its kind of road. Capitals do not count, and neither does
+    of what an embedded suite calls its kind. Capitals do not count, and neither does
     whether words are joined by ``_``, ``-`` or a blank.
 
     Args:
@@ -37,7 +37,7 @@ def matching(refs: Sequence[ScenarioRef], texts: Sequence[str]) -> list[Scenario
     wanted = [_plain(text) for text in texts]
     if not wanted:
         return list(refs)
-    kinds = suite_road_kinds()
+    kinds = suite_kinds()
     seen: set[str] = set()
     chosen = []
     for ref in refs:

@@ -28,7 +28,7 @@ INPUTS = '<net-file value="a.net.xml"/><route-files value="a.rou.xml"/>'
 
 
 def test_every_scenario_of_the_suite_has_files_of_sumo() -> None:
-    for ref in find_scenarios("suite"):
+    for ref in find_scenarios("suite-1"):
         assert len(list(SumoTraffic.reads(ref.path))) == 3, ref.id
 
 

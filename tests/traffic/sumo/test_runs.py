@@ -87,7 +87,7 @@ def test_an_error_of_sumo_in_an_episode_is_its_row_and_the_next_one_is_driven(
         step()
 
     monkeypatch.setattr(libsumo, "simulationStep", failing)
-    folder = run_here(_config(tmp_path / "run", "suite", ids=(ZEBRA,)))
+    folder = run_here(_config(tmp_path / "run", "suite-1", ids=(ZEBRA,)))
     first, second = untimed(folder)
     assert first["outcome"] == Outcome.TRAFFIC_FAILURE
     assert first["steps"] == pytest.approx(20, abs=1)

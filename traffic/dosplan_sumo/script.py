@@ -15,6 +15,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import chain
 from typing import Any, Final
 
 Point = tuple[float, float]
@@ -134,20 +135,31 @@ def read_script(rows: Iterable[Mapping[str, Any]]) -> Script:
     script = []
     for row in rows:
         try:
-            script.append(
-                Action(
-                    at=float(row["at"]),
-                    actor=str(row["actor"]),
-                    verb=Verb(row["verb"]),
-                    value=float(row.get("value", 0.0)),
-                    over=float(row.get("over", 0.0)),
-                    edge=str(row.get("edge", "")),
-                    way=tuple((float(x), float(y)) for x, y in row.get("way", ())),
-                )
+            action = Action(
+                at=float(row["at"]),
+                actor=str(row["actor"]),
+                verb=Verb(row["verb"]),
+                value=float(row.get("value", 0.0)),
+                over=float(row.get("over", 0.0)),
+                edge=str(row.get("edge", "")),
+                way=tuple((float(x), float(y)) for x, y in row.get("way", ())),
             )
-        except (KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"no action of a script: {row!r} ({error!r})") from None
+            _check(action)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"no action of a script: {str(row)[:120]} ({error!r})") from None
+        script.append(action)
     return tuple(script)
+
+
+def _check(action: Action) -> None:
+    """Raises where an action could not be played."""
+    numbers = (action.at, action.value, action.over, *chain.from_iterable(action.way))
+    if not all(map(math.isfinite, numbers)) or action.at < 0.0 or action.over < 0.0:
+        raise ValueError("numbers are finite, and times 0 or more")
+    if action.verb is Verb.HALT and action.value <= 0.0:
+        raise ValueError("a deceleration is more than 0")
+    if action.verb is Verb.WALK and action.value < 0.0:
+        raise ValueError("nobody walks backwards")
 
 
 class Executor:
@@ -163,6 +175,11 @@ class Executor:
         self._due: list[tuple[float, Action]] = []
         self._led: dict[str, _Led] = {}
         self._then: dict[str, list[tuple[float, float]]] = {}
+
+    @property
+    def led(self) -> Mapping[str, float]:
+        """Who is led along a line, and how fast, m/s; SUMO does not always know its speed."""
+        return {actor: led.speed for actor, led in self._led.items()}
 
     def play(self, script: Iterable[Action], begin: float) -> None:
         """Adds a script.

@@ -33,11 +33,13 @@ from dosplan.types import (
     Scenario,
     Tracks,
 )
+from dosplan_sumo.acts import Acts, acts_file, read_acts
 from dosplan_sumo.demand import Demand, read_demand, read_offset, write_demand
 from dosplan_sumo.drivers import Drivers
 from dosplan_sumo.lanes import Lanes
 from dosplan_sumo.lights import Lights
 from dosplan_sumo.scene import CLASS_OF, User, angle_of, front_of, kind_of, users
+from dosplan_sumo.script import Executor
 from dosplan_sumo.simulator import Simulation, SumoError, library
 
 EGO: Final = "dosplan-ego"
@@ -154,6 +156,7 @@ class SumoTraffic(Traffic):
             files = read_configuration(scenario.sumo)
             read_offset(files.net)
             read_demand(files)
+            _acts_of(scenario.sumo)
         except ScenarioError as error:
             return f"cannot be driven by SUMO: {error}"
         return None
@@ -171,7 +174,8 @@ class SumoTraffic(Traffic):
         configuration = configuration_of(scenario)
         with suppress(ScenarioError):
             if configuration is not None:
-                return read_configuration(configuration).all
+                files, acts = read_configuration(configuration).all, acts_file(configuration)
+                return files if acts is None else (*files, acts)
         return ()
 
     @classmethod
@@ -207,7 +211,10 @@ class SumoTraffic(Traffic):
         net_offset = read_offset(files.net)
         self._folder = TemporaryDirectory(prefix="dosplan-sumo-")
         self._demand = write_demand(read_demand(files), Path(self._folder.name))
-        self._drivers = Drivers(self.seed, scenario.benchmark_id, self.future)
+        self._acts = _acts_of(scenario.sumo)
+        # Who acts a script is driven as it was when the future was recorded.
+        acted = self._acts is not None and self.future < len(self._acts.futures)
+        self._drivers = Drivers(self.seed, scenario.benchmark_id, 0 if acted else self.future)
         self._known: dict[str, _Known] = {}
         self._others: list[tuple[_Known, FloatArray]] = []
         self._seen: set[str] = set()
@@ -224,7 +231,12 @@ class SumoTraffic(Traffic):
         present = np.flatnonzero(past.valid[:, -1])
         self._drive_until(start, files, net_offset, ego)
         self._start_ego()
-        if not self._recognised(past, present):
+        if self._recognised(past, present):
+            if self._acts is not None:
+                futures = self._acts.futures
+                script = futures[self.future % len(futures)].script
+                self._executor.play(script, self._acts.branch)
+        else:
             self._running.close()  # For the step in which the file's scene is made.
             self._drive_until(start, files, net_offset, ego)
             self._rebuild(past, present)
@@ -242,9 +254,12 @@ class SumoTraffic(Traffic):
     ) -> None:
         """Drives a new simulation up to the step before the ego's start."""
         simulation = self._simulation = self._started(files)
-        while simulation.time < start - 1.5 * self._scenario.dt:
-            simulation.step()
         sumo = simulation.sumo
+        self._executor = Executor(sumo)
+        if self._acts is not None:
+            self._executor.play(self._acts.prelude, self._acts.appearance)
+        while simulation.time < start - 1.5 * self._scenario.dt:
+            self._advance(simulation)
         self._lanes = Lanes(sumo)
         self._offset = self._lanes.offset(self._scenario.road_map, net_offset)
         self._ego = ego if ego in sumo.vehicle.getIDList() else EGO
@@ -255,8 +270,14 @@ class SumoTraffic(Traffic):
         """Drives the step at whose end the ego is at its start."""
         simulation, start = self._running, self._scenario.task.start
         self._put_ego(simulation.sumo, start)
-        simulation.step()
+        self._advance(simulation)
         self._settle_ego(simulation.sumo, start)
+
+    def _advance(self, simulation: Simulation) -> None:
+        """Drives a step, in which the cast does what it is told."""
+        with simulation.failures():
+            self._executor.step(simulation.time, self._scenario.dt)
+        simulation.step()
 
     def step(self, step: int, ego: FloatArray) -> RoadUsers:
         """Drives SUMO a step, in which nobody knows yet where the ego goes.
@@ -277,7 +298,7 @@ class SumoTraffic(Traffic):
         sumo = simulation.sumo
         self._centre = self._scenario.task.vehicle.centre(ego[-1])
         self._put_ego(sumo, ego[-1])
-        simulation.step()
+        self._advance(simulation)
         self._settle_ego(sumo, ego[-1])
         with simulation.failures():
             for name in sumo.simulation.getDepartedIDList():
@@ -297,6 +318,7 @@ class SumoTraffic(Traffic):
                 self._known[user.name] = replace(self._known[user.name], shift=shift)
             known = self._known[user.name]
             state = user.state + weight * known.shift
+            state[USER_VELOCITY] = self._executor.led.get(user.name, state[USER_VELOCITY])
             state[:2] = self._slid(known.id, state, user.walks)
             rows.append((known, state))
         for known, state in self._others:
@@ -573,6 +595,12 @@ class SumoTraffic(Traffic):
             valid=np.concatenate([past.valid, np.isfinite(states[:, :, 0])]),
             outlines=(*past.outlines, *(None for _ in known)),
         )
+
+
+def _acts_of(configuration: Path) -> Acts | None:
+    """What the cast of a scenario does; None where it has no file that tells it."""
+    path = acts_file(configuration)
+    return None if path is None else read_acts(path)
 
 
 def _at(sumo: Any, name: str, front: FloatArray) -> bool:

@@ -12,13 +12,14 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
+from dosplan_sumo.acts import ENDING
 
 from dosplan.scenario.commonroad.drafts import Header
 from dosplan.scenario.commonroad.writer import compress
 from dosplan.scoring.usable import unusable
 from dosplan.types import FloatArray
 from suitegen.build import LICENCE, SPLITS, TRAIN_MAPS_FROM
-from suitegen.futures.files import scripts_json, write_scene
+from suitegen.futures.files import acts_json, write_scene
 from suitegen.futures.kinds import KINDS
 from suitegen.futures.scene import Scene, scene_of
 from suitegen.futures.simulate import RejectedError, simulate
@@ -145,7 +146,7 @@ def _attempt(place: Place, seed: int, attempt: int, folder: Path, rejected: Coun
     files = {
         f"files/{name}.xml.gz": compress((folder / "files" / f"{name}.xml").read_bytes()),
         f"futures/{name}.npz": (folder / "futures" / f"{name}.npz").read_bytes(),
-        f"sumo-files/{name}.futures.json": scripts_json(staging, simulated, acts),
+        f"sumo-files/{name}{ENDING}": acts_json(staging, simulated, acts),
     }
     sumo = sumo_inputs(name, net, simulated.demand.root, simulated.seed, EGO, simulated.start_time)
     row = _row(place, seed, acts, scene, verdict.defeats, files)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from dosplan_sumo.script import script_json
+from dosplan_sumo.acts import Acts
 
 from dosplan.scenario import load_scenario
 from dosplan.scenario.commonroad.drafts import (
@@ -25,6 +24,7 @@ from suitegen.commonroad_xml import OBSTACLE_TYPES, with_lights_from
 from suitegen.futures.scene import Scene
 from suitegen.futures.simulate import Simulated
 from suitegen.futures.staging import EGO, Act, Staging
+from suitegen.sumo_inputs import EGO as EGO_IN_SUMO
 from suitegen.traffic import STEP
 
 
@@ -124,7 +124,7 @@ def _word(kind: str) -> str:
     return OBSTACLE_TYPES.get(kind, kind)
 
 
-def scripts_json(staging: Staging, simulated: Simulated, acts: Sequence[Act]) -> bytes:
+def acts_json(staging: Staging, simulated: Simulated, acts: Sequence[Act]) -> bytes:
     """What the cast of a scene is told, for traffic that SUMO drives again.
 
     Args:
@@ -133,13 +133,15 @@ def scripts_json(staging: Staging, simulated: Simulated, acts: Sequence[Act]) ->
         acts: What happens in each future.
 
     Returns:
-        A JSON file: times are SUMO's, s, and those of actions count from them.
+        The file's content. From the branch on, the stand-in is told nothing: the ego drives.
     """
-    content = {
-        "prelude": {"begin": staging.warmup, "script": script_json(simulated.demand.prelude)},
-        "branch": round(simulated.start_time + staging.branch, 3),
-        "futures": [
-            {"intention": act.intention, "script": script_json(act.script)} for act in acts
-        ],
-    }
-    return (json.dumps(content, indent=1) + "\n").encode()
+    prelude = tuple(
+        replace(action, actor=EGO_IN_SUMO) if action.actor == EGO else action
+        for action in simulated.demand.prelude
+    )
+    futures = tuple(
+        replace(act, script=tuple(action for action in act.script if action.actor != EGO))
+        for act in acts
+    )
+    branch = round(simulated.start_time + staging.branch, 3)
+    return Acts(staging.warmup, prelude, branch, futures).json()

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from dosplan_sumo.acts import Act as Act  # Part of a staging.
 from dosplan_sumo.script import Script
 
 from suitegen.plain import Point
@@ -87,19 +88,6 @@ class Actor:
     facing: Point | None = None
     size: tuple[float, float] | None = None
     driver: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Act:
-    """What happens in one future.
-
-    Attributes:
-        intention: In a word or two: what the actor who matters does (``brakes``, ``goes on``).
-        script: What the cast is told, from the branch on.
-    """
-
-    intention: str
-    script: Script
 
 
 Moment = Callable[[Any], bool]

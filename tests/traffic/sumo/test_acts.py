@@ -1,0 +1,121 @@
+"""Traffic of SUMO whose cast acts the futures of a scenario."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dosplan.scenario import ScenarioError, load_scenario
+from dosplan.scenario.sources.sumo import configuration_of, read_configuration
+from dosplan.types import USER_VELOCITY, FloatArray, Scenario
+from tests.support.suite import SUITE
+from tests.support.sumo import ZEBRA
+
+pytest.importorskip("libsumo", reason="needs dosplan[sumo]")
+
+from dosplan_sumo.acts import ENDING, Act, Acts, acts_file, read_acts
+from dosplan_sumo.demand import read_demand, write_demand
+from dosplan_sumo.script import Action, Verb
+from dosplan_sumo.traffic import SumoTraffic
+
+STEPS = 25
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """The file of a scenario with SUMO's files, in a folder of its own."""
+    (tmp_path / "files").mkdir()
+    shutil.copy(SUITE / "files" / f"{ZEBRA}.xml.gz", tmp_path / "files")
+    (tmp_path / "sumo-files").mkdir()
+    geometry = ZEBRA.partition("_T-")[0].rpartition("_")[0]
+    for name in (f"{geometry}.net.xml.gz", f"{ZEBRA}.rou.xml.gz", f"{ZEBRA}.sumo.cfg"):
+        shutil.copy(SUITE / "sumo-files" / name, tmp_path / "sumo-files")
+    return tmp_path / "files" / f"{ZEBRA}.xml.gz"
+
+
+def _drive(scenario: Scenario, future: int) -> tuple[dict[str, int], dict[int, FloatArray]]:
+    """Ids by SUMO's names, and the velocity of each road user, around an ego that stands."""
+    traffic = SumoTraffic(future=future)
+    try:
+        first = scenario.task.start_step
+        traffic.begin(scenario, first)
+        names = {name: known.id for name, known in traffic._known.items()}
+        ego = np.tile(scenario.task.start, (1, 1))
+        speeds: dict[int, list[float]] = {}
+        for step in range(first + 1, first + 1 + STEPS):
+            ego = np.vstack([ego, scenario.task.start])
+            users = traffic.step(step, ego)
+            for name, state in zip(users.ids.tolist(), users.states, strict=True):
+                speeds.setdefault(name, []).append(state[USER_VELOCITY])
+        return names, {name: np.array(each) for name, each in speeds.items()}
+    finally:
+        traffic.close()
+
+
+@pytest.fixture
+def braking(place: Path) -> tuple[Scenario, int, dict[int, FloatArray]]:
+    """A scenario in whose future 1 the fastest brakes, its id, and the velocities without that."""
+    scenario = load_scenario(place)
+    names, plain = _drive(scenario, 0)
+    whole = {name: id for name, id in names.items() if len(plain.get(id, ())) == STEPS}
+    actor = max(whole, key=lambda name: plain[whole[name]].min())
+    start = float(_start(place))
+    script = (Action(0.0, actor, Verb.BRAKE, 0.0, over=1.0),)
+    acts = Acts(0.0, (), start + 1.0, (Act("goes on", ()), Act("brakes", script)))
+    path = place.parents[1] / "sumo-files" / f"{ZEBRA}{ENDING}"
+    path.write_bytes(acts.json())
+    assert read_acts(path) == acts
+    return scenario, whole[actor], plain
+
+
+def _start(place: Path) -> float:
+    configuration = configuration_of(place)
+    assert configuration is not None
+    folder = place.parent / "demand"
+    folder.mkdir()
+    start = write_demand(read_demand(read_configuration(configuration)), folder).start
+    assert start is not None
+    return start
+
+
+def test_the_cast_acts_its_future_from_the_branch_on(
+    braking: tuple[Scenario, int, dict[int, FloatArray]],
+) -> None:
+    scenario, actor, plain = braking
+    for future, brakes in ((0, False), (1, True)):
+        _, speeds = _drive(scenario, future)
+        np.testing.assert_array_equal(speeds[actor][:10], plain[actor][:10])
+        assert bool(speeds[actor][-1] < 0.1) is brakes
+        others = [name for name in plain if name != actor and len(plain[name]) == STEPS]
+        assert any(np.array_equal(speeds[name], plain[name]) for name in others)
+
+
+def test_the_file_is_one_of_those_that_a_run_depends_on(
+    braking: tuple[Scenario, int, dict[int, FloatArray]], place: Path
+) -> None:
+    configuration = place.parents[1] / "sumo-files" / f"{ZEBRA}.sumo.cfg"
+    assert acts_file(configuration) in set(SumoTraffic.reads(place))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "[]",
+        "{}",
+        '{"appearance": 0, "prelude": [], "branch": 1, "futures": []}',
+        '{"appearance": 0, "prelude": [{"at": 0, "actor": "a", "verb": "halt"}], "branch": 1, '
+        '"futures": [{"intention": "", "script": []}]}',
+        "[" * 100_000,
+    ],
+)
+def test_a_broken_file_is_one_line(place: Path, content: str) -> None:
+    path = place.parents[1] / "sumo-files" / f"{ZEBRA}{ENDING}"
+    path.write_text(content)
+    with pytest.raises(ScenarioError, match="tells no futures"):
+        read_acts(path)
+    reason = SumoTraffic.refuses(load_scenario(place))
+    assert reason is not None
+    assert "\n" not in reason

@@ -1,7 +1,7 @@
-"""Drives the baselines through the first suite: ``python scenarios/baselines.py``.
+"""Drives the baselines through a suite: ``python scenarios/baselines.py [SUITE]``.
 
-Writes ``baselines.csv``, each baseline's outcome in each scenario, and prints the table of
-success that stands in ``README.md``.
+Writes ``baselines.csv``, each baseline's outcome in each scenario and future, and the tables
+between the markers in the suite's ``README.md``.
 """
 
 from __future__ import annotations
@@ -9,9 +9,10 @@ from __future__ import annotations
 import argparse
 import csv
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from dosplan.results.markdown import markdown
 from dosplan.results.rows import read_rows
 from dosplan.running.run import RunConfig, run
 from dosplan.types import Arm, Outcome
@@ -19,88 +20,127 @@ from dosplan.types import Arm, Outcome
 HERE = Path(__file__).resolve().parent
 PLANNERS = ("cruise", "brake", "idm")
 PREDICTOR = "constant-velocity"
+MARKERS = ("<!-- baselines: begin -->", "<!-- baselines: end -->")
 
-Outcomes = Mapping[str, Mapping[str, str]]
-"""Outcome by planner, by scenario id."""
+Row = Mapping[str, str]
+"""A row of ``manifest.csv``, or of ``baselines.csv``: id, future, the outcome of each planner."""
 
 
 def main() -> None:
     """Runs the command."""
-    parser = argparse.ArgumentParser(description="Drive the baselines through the suite.")
+    parser = argparse.ArgumentParser(description="Drive the baselines through a suite.")
     parser.add_argument(
-        "--suite", type=Path, default=HERE / "suite-1", help="folder of manifest.csv"
+        "suite",
+        type=Path,
+        nargs="?",
+        default=HERE / "suite",
+        help="folder of manifest.csv (default: scenarios/suite)",
     )
     parser.add_argument("--workers", type=int, default=1, help="processes (default: 1)")
     options = parser.parse_args()
     with (options.suite / "manifest.csv").open(newline="", encoding="utf-8") as stream:
         manifest = list(csv.DictReader(stream))
-    outcomes = drive_baselines(options.suite / "files", options.workers)
-    path = options.suite / "baselines.csv"
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(("id", *PLANNERS))
-        writer.writerows(
-            (row["id"], *(outcomes[row["id"]][planner] for planner in PLANNERS)) for row in manifest
-        )
-    print(success_table(manifest, outcomes))
+    rows = drive_baselines(options.suite, manifest, options.workers)
+    with (options.suite / "baselines.csv").open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, ("id", "future", *PLANNERS), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    tables = baseline_tables(manifest, rows)
+    print(tables)
+    _write_between_markers(options.suite / "README.md", tables)
 
 
-def drive_baselines(source: Path, workers: int = 1) -> dict[str, dict[str, str]]:
-    """Drives every baseline through scenarios.
+def drive_baselines(suite: Path, manifest: Sequence[Row], workers: int = 1) -> list[dict[str, str]]:
+    """Drives every baseline through every future of a suite.
 
     Args:
-        source: A scenario file or a folder of them.
+        suite: The folder of the suite.
+        manifest: Rows of its manifest; all have as many futures.
         workers: Number of processes.
 
     Returns:
-        See ``Outcomes``.
+        A row for each scenario and future, in the order of the manifest.
     """
-    outcomes: dict[str, dict[str, str]] = {}
+    futures = max(map(_futures, manifest))
+    rows = {
+        (row["id"], future): {"id": row["id"], "future": str(future)}
+        for row in manifest
+        for future in range(futures)
+    }
     with tempfile.TemporaryDirectory(prefix="dosplan-baselines-") as name:
         for planner in PLANNERS:
             config = RunConfig(
                 out=Path(name) / planner,
-                source=str(source),
+                source=str(suite / "files"),
                 planner=planner,
                 predictor=PREDICTOR,
                 arms=(Arm.WITHOUT_DOS,),
+                futures=futures,
                 workers=workers,
             )
             for row in read_rows(run(config).rows):
-                outcomes.setdefault(row.scenario, {})[planner] = row.outcome.value
-    return outcomes
+                rows[row.scenario, row.future][planner] = row.outcome.value
+    return list(rows.values())
 
 
-def success_table(manifest: Sequence[Mapping[str, str]], outcomes: Outcomes) -> str:
-    """Success of the baselines by road kind, and every outcome over the whole suite.
+def baseline_tables(manifest: Sequence[Row], rows: Sequence[Row]) -> str:
+    """Success and collisions of the baselines by kind, and every outcome over the whole suite.
 
     Args:
         manifest: Rows of the suite's manifest.
-        outcomes: See ``Outcomes``.
+        rows: Rows of ``baselines.csv``.
 
     Returns:
-        Two tables in Markdown.
+        Two tables in Markdown. Where there are several futures, the first also counts the scenarios
+        in which ``idm`` collides in some futures and succeeds in others.
     """
-    kinds = dict.fromkeys(row["road_kind"] for row in manifest)
-    lines = [_line("success by road kind", "n", *PLANNERS), "|---" + "|--:" * 4 + "|"]
-    for kind in kinds:
-        ids = [row["id"] for row in manifest if row["road_kind"] == kind]
-        lines.append(_line(kind, len(ids), *_counts(ids, outcomes, Outcome.SUCCESS)))
-    ids = [row["id"] for row in manifest]
-    lines += ["", _line("outcome", *(f"{planner}, %" for planner in PLANNERS))]
-    lines.append("|---" + "|--:" * 3 + "|")
-    for outcome in (outcome for outcome in Outcome if outcome.of_planner):
-        counts = _counts(ids, outcomes, outcome)
-        lines.append(_line(outcome.value, *(f"{100.0 * n / len(ids):.1f}" for n in counts)))
-    return "\n".join(lines)
+    kind_of = {row["id"]: row.get("kind") or row["road_kind"] for row in manifest}
+    several = max(map(_futures, manifest)) > 1
+    counted = (Outcome.SUCCESS, Outcome.COLLISION)
+    headings = ["kind", "drives", *(f"{p}: {outcome}" for outcome in counted for p in PLANNERS)]
+    lines = []
+    for kind in dict.fromkeys(kind_of.values()):
+        own = [row for row in rows if kind_of[row["id"]] == kind]
+        counts = [_count(own, p, outcome) for outcome in counted for p in PLANNERS]
+        lines.append([kind, str(len(own)), *map(str, counts)])
+        if several:
+            lines[-1].append(str(_decided(own)))
+    if several:
+        headings.append("decided for idm")
+    shares = [
+        [outcome, *(f"{100.0 * _count(rows, p, outcome) / len(rows):.1f}" for p in PLANNERS)]
+        for outcome in Outcome
+        if outcome.of_planner
+    ]
+    outcomes = markdown(["outcome", *(f"{p}, %" for p in PLANNERS)], shares)
+    return f"{markdown(headings, lines)}\n\n{outcomes}"
 
 
-def _line(*cells: object) -> str:
-    return f"| {' | '.join(map(str, cells))} |"
+def _futures(row: Row) -> int:
+    return int(row.get("futures", "1"))
 
 
-def _counts(ids: Sequence[str], outcomes: Outcomes, outcome: Outcome) -> list[int]:
-    return [sum(outcomes[i][planner] == outcome for i in ids) for planner in PLANNERS]
+def _count(rows: Iterable[Row], planner: str, outcome: Outcome) -> int:
+    return sum(row[planner] == outcome for row in rows)
+
+
+def _decided(rows: Sequence[Row]) -> int:
+    """Number of scenarios of which the future decides whether ``idm`` collides."""
+    ends: dict[str, set[str]] = {}
+    for row in rows:
+        ends.setdefault(row["id"], set()).add(row["idm"])
+    return sum({Outcome.COLLISION, Outcome.SUCCESS} <= each for each in ends.values())
+
+
+def _write_between_markers(path: Path, text: str) -> None:
+    """Puts text between the markers of a file; leaves a file without them alone."""
+    if not path.is_file():
+        return
+    old = path.read_text(encoding="utf-8")
+    begin, end = (old.find(marker) for marker in MARKERS)
+    if 0 <= begin < end:
+        head = old[: begin + len(MARKERS[0])]
+        path.write_text(f"{head}\n{text}\n{old[end:]}", encoding="utf-8")
 
 
 if __name__ == "__main__":

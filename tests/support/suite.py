@@ -1,4 +1,4 @@
-"""The embedded suite as it lies in the repository, for the tests that check it."""
+"""The embedded suites as they lie in the repository, for the tests that check them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ import pytest
 from dosplan.types import FloatArray
 
 SUITE = Path(__file__).resolve().parents[2] / "scenarios" / "suite-1"
+FUTURES_SUITE = SUITE.parent / "suite"
+"""The suite whose scenarios have several futures."""
 Row = dict[str, str]
 
 
@@ -22,7 +24,12 @@ def _table(text: str) -> list[Row]:
     return list(csv.DictReader(io.StringIO(text)))
 
 
-ROWS = _table((SUITE / "manifest.csv").read_text(encoding="utf-8"))
+def manifest(suite: Path) -> list[Row]:
+    """Rows of the manifest of a suite."""
+    return _table((suite / "manifest.csv").read_text(encoding="utf-8"))
+
+
+ROWS = manifest(SUITE)
 _FIRST = {row["road_kind"]: row["id"] for row in reversed(ROWS)}.values()
 
 
@@ -38,17 +45,23 @@ def each(*road_kinds: str) -> list[Any]:
     ]
 
 
-def baselines() -> list[Row]:
+def baselines(suite: Path = SUITE) -> list[Row]:
     """Rows of ``baselines.csv``."""
-    return _table((SUITE / "baselines.csv").read_text(encoding="utf-8"))
+    return _table((suite / "baselines.csv").read_text(encoding="utf-8"))
 
 
 @cache
 def drives() -> dict[str, FloatArray]:
     """The recorded drive of each scenario: (K, 4) centre x, y, heading and velocity."""
-    data = gzip.decompress((SUITE / "drives.csv.gz").read_bytes()).decode()
-    states: dict[str, list[list[float]]] = {}
+    return {name: drive for (name, _), drive in drives_by_future(SUITE).items()}
+
+
+@cache
+def drives_by_future(suite: Path) -> dict[tuple[str, int], FloatArray]:
+    """The drives of a suite that succeed, by scenario and future."""
+    data = gzip.decompress((suite / "drives.csv.gz").read_bytes()).decode()
+    states: dict[tuple[str, int], list[list[float]]] = {}
     for row in _table(data):
         values = [float(row[name]) for name in ("x", "y", "heading", "velocity")]
-        states.setdefault(row["id"], []).append(values)
+        states.setdefault((row["id"], int(row.get("future", "0"))), []).append(values)
     return {name: np.array(rows) for name, rows in states.items()}

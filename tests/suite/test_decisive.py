@@ -1,0 +1,123 @@
+"""The suite of several futures: intact, one past each, solvable, and decided by the future."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from baselines import PLANNERS, drive_baselines
+from suitegen.futures.search import scored, solved
+from suitegen.futures.verdict import (
+    BASELINES,
+    FIRST_CONTACT,
+    baseline_rows,
+    defeat_words,
+    in_future,
+)
+
+from dosplan.scenario import load_scenario
+from dosplan.types import Outcome, Scenario
+from tests.support.suite import FUTURES_SUITE, Row, baselines, drives_by_future, manifest
+
+ROWS = manifest(FUTURES_SUITE)
+HARDEST = 8.0
+"""Acceleration of the drives that are found, m/s2."""
+
+
+def each(quick: int) -> list[Any]:
+    """Parameters of a test of every scenario; all but the first of a number of kinds are slow."""
+    first = list({row["kind"]: row["id"] for row in reversed(ROWS)}.values())[-quick:]
+    return [
+        pytest.param(row, id=row["id"], marks=() if row["id"] in first else pytest.mark.slow)
+        for row in ROWS
+    ]
+
+
+@cache
+def loaded(file: str) -> Scenario:
+    return load_scenario(FUTURES_SUITE / file)
+
+
+def test_files_are_those_of_the_manifest() -> None:
+    for name, digest in (("file", "sha256"), ("futures_file", "futures_sha256")):
+        files = {row[name]: row[digest] for row in ROWS}
+        assert len(files) == len(ROWS)
+        for file, expected in files.items():
+            found = hashlib.sha256((FUTURES_SUITE / file).read_bytes()).hexdigest()
+            assert found == expected, file
+        folder = FUTURES_SUITE / next(iter(files)).partition("/")[0]
+        assert {f"{folder.name}/{path.name}" for path in folder.iterdir()} == set(files)
+
+
+def test_there_is_a_drive_for_each_future() -> None:
+    named = {(row["id"], future) for row in ROWS for future in range(int(row["futures"]))}
+    assert set(drives_by_future(FUTURES_SUITE)) == named
+
+
+def test_the_manifest_names_who_is_defeated() -> None:
+    for row in ROWS:
+        assert re.match(rf"({'|'.join(BASELINES)}):\d", row["defeats"]), row["id"]
+        assert len(row["intentions"].split("; ")) == int(row["futures"])
+        assert len(set(row["intentions"].split("; "))) > 1
+
+
+@pytest.mark.parametrize("row", each(quick=100))
+def test_futures_have_one_past(row: Row) -> None:
+    scenario = loaded(row["file"])
+    assert 1 + len(scenario.futures) == int(row["futures"])
+    past = slice(0, scenario.task.start_step + 1)
+    recorded, there = scenario.tracks, scenario.tracks.valid[:, past].any(axis=1)
+    differs = False
+    for future in scenario.futures:
+        known = future.valid[:, past].any(axis=1)
+        np.testing.assert_array_equal(future.ids[known], recorded.ids[there])
+        for name in ("states", "valid"):
+            own, other = getattr(future, name)[known], getattr(recorded, name)[there]
+            np.testing.assert_array_equal(own[:, past], other[:, past])
+            differs |= not np.array_equal(own, other, equal_nan=name == "states")
+        assert [future.kinds[i] for i in np.flatnonzero(known)] == [
+            recorded.kinds[i] for i in np.flatnonzero(there)
+        ]
+    assert differs
+
+
+@pytest.mark.parametrize("row", each(quick=100))
+def test_every_future_is_solved_by_the_drive_that_ships(row: Row) -> None:
+    scenario = loaded(row["file"])
+    start = scenario.task.vehicle.poses(scenario.task.start)
+    for future in range(int(row["futures"])):
+        drive = drives_by_future(FUTURES_SUITE)[row["id"], future]
+        np.testing.assert_allclose(drive[0, :3], start, atol=1e-3)
+        assert np.abs(np.diff(drive[:, 3])).max() <= HARDEST * scenario.dt + 2e-3
+        found = scored(in_future(scenario, future), drive)
+        assert solved(found, scenario.task)
+        assert not found.at_fault
+
+
+@pytest.mark.parametrize("row", each(quick=2))
+def test_baselines_are_defeated_as_the_manifest_says(row: Row) -> None:
+    scenario = loaded(row["file"])
+    rows = baseline_rows(scenario)
+    assert defeat_words(scenario, rows) == row["defeats"]
+    for found in (found for every in rows.values() for found in every):
+        assert found.outcome is not Outcome.PLANNER_FAILURE
+        assert found.outcome is not Outcome.COLLISION or found.steps >= FIRST_CONTACT
+
+
+def test_somebody_fails_in_some_future_of_each() -> None:
+    rows = baselines(FUTURES_SUITE)
+    assert set(rows[0]) == {"id", "future", *PLANNERS}
+    success = Outcome.SUCCESS.value
+    for name in {row["id"] for row in rows}:
+        own = [row for row in rows if row["id"] == name]
+        assert any(row["cruise"] != success or row["idm"] != success for row in own), name
+        assert any(row["brake"] != success for row in own), name
+
+
+@pytest.mark.slow
+def test_baselines_still_do_what_the_table_says() -> None:
+    assert drive_baselines(FUTURES_SUITE, ROWS) == baselines(FUTURES_SUITE)

@@ -7,16 +7,23 @@ import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dosplan.report.film.paint import LAMP_HANDLER
 from dosplan.report.film.scene import draw_scene, legend_handles
 from dosplan.scenario import load_scenario
+from dosplan.types import FloatArray, Scenario
 
 HERE = Path(__file__).resolve().parent
 CONFLICTS = ("crossing", "merging", "leading")
 COLUMNS = 4
 SIDE = 3.2
+LATER = 4.0
+"""Time after the ego's start at which futures are compared, s."""
+APART = 2.0
+"""Distance from which on somebody is drawn as elsewhere, m."""
 
 
 def main() -> None:
@@ -45,6 +52,7 @@ def draw_sheet(suite: Path, out: Path) -> None:
     grid = figure.subplots(lines, COLUMNS, squeeze=False)
     for axes, row, scenario in zip(grid.flat, chosen, scenarios, strict=False):
         draw_scene(axes, scenario, scenario.task.start_step)
+        _draw_futures(axes, scenario)
         axes.set_title(f"{_kind(row)}\n{row['id']}", fontsize=8)
     figure.legend(
         handles=legend_handles(*scenarios),
@@ -53,6 +61,26 @@ def draw_sheet(suite: Path, out: Path) -> None:
         ncols=7,
     )
     figure.savefig(out, dpi=110)
+
+
+def _draw_futures(axes: Axes, scenario: Scenario) -> None:
+    """Marks where those are after ``LATER`` who are elsewhere in some future, one for each future.
+
+    Thin lines lead there.
+    """
+    start = scenario.task.start_step
+    steps = slice(start, start + round(LATER / scenario.dt) + 1)
+    ways: dict[int, list[FloatArray]] = {}
+    for k in range(1 + len(scenario.futures) if scenario.futures else 0):
+        tracks = scenario.recorded(k)
+        for name, states, valid in zip(tracks.ids, tracks.states, tracks.valid, strict=True):
+            ways.setdefault(int(name), []).append(states[steps, :2][valid[steps]])
+    for lines in ways.values():
+        ends = np.array([line[-1] for line in lines if len(line)])
+        if len(ends) and np.ptp(ends, axis=0).max() > APART:
+            for line in lines:
+                axes.plot(*line.T, color="black", linewidth=0.5, zorder=7)
+            axes.scatter(ends[:, 0], ends[:, 1], s=9, color="white", edgecolor="black", zorder=7)
 
 
 def _kind(row: Mapping[str, str]) -> str:

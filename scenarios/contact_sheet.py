@@ -54,6 +54,8 @@ def draw_sheet(suite: Path, out: Path) -> None:
         draw_scene(axes, scenario, scenario.task.start_step)
         _draw_futures(axes, scenario)
         axes.set_title(f"{_kind(row)}\n{row['id']}", fontsize=8)
+    for axes in grid.flat[len(chosen) :]:
+        axes.set_visible(False)
     figure.legend(
         handles=legend_handles(*scenarios),
         handler_map=dict(LAMP_HANDLER),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import gzip
 import io
-import json
 import os
 import subprocess
 import sys
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dosplan_sumo.script import read_script
+from dosplan_sumo.acts import ENDING, read_acts
 from suitegen.futures.verdict import in_future
 from suitegen.verdict import recorded_episode
 
@@ -116,8 +115,6 @@ def _drives(made: Path, name: str) -> list[FloatArray]:
 
 def test_scripts_of_the_futures_are_kept(made: Path) -> None:
     for row in _rows(made):
-        path = made / "sumo-files" / f"{row['id']}.futures.json"
-        content = json.loads(path.read_text(encoding="utf-8"))
-        found = [future["intention"] for future in content["futures"]]
-        assert found == row["intentions"].split("; ")
-        assert any(read_script(future["script"]) for future in content["futures"])
+        acts = read_acts(made / "sumo-files" / f"{row['id']}{ENDING}")
+        assert [act.intention for act in acts.futures] == row["intentions"].split("; ")
+        assert any(act.script for act in acts.futures)

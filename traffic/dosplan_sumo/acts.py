@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from dosplan.scenario import ScenarioError
-from dosplan.scenario.commonroad.document import read_file
+from dosplan.scenario.commonroad.document import read_file, unpacked
+from dosplan.scenario.commonroad.writer import compress
 from dosplan.scenario.sources.sumo import CONFIGURATIONS
 from dosplan_sumo.script import Script, read_script, script_json
 
-ENDING: Final = ".futures.json"
+ENDING: Final = ".futures.json.gz"
 """How such a file is called, after the name of the scenario."""
 
 
@@ -57,7 +58,8 @@ class Acts:
                 for act in self.futures
             ],
         }
-        return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
+        text = json.dumps(content, separators=(",", ":"), allow_nan=False)
+        return compress(text.encode())
 
 
 def acts_file(configuration: Path) -> Path | None:
@@ -88,8 +90,9 @@ def read_acts(path: Path) -> Acts:
     Raises:
         ScenarioError: It cannot be read, or does not hold the futures of a scenario.
     """
+    data = unpacked(path, read_file(path))
     try:
-        content: Mapping[str, Any] = json.loads(read_file(path))
+        content: Mapping[str, Any] = json.loads(data)
         acts = Acts(
             appearance=float(content["appearance"]),
             prelude=read_script(content["prelude"]),

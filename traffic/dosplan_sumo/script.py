@@ -13,12 +13,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import chain
 from typing import Any, Final
 
 Point = tuple[float, float]
+
+DECIMALS: Final = 3
+"""To how many decimals files keep the numbers of a script."""
 
 OBEDIENT: Final = 31
 """SUMO's speed mode of a vehicle that keeps every rule: five bits, see the next four."""
@@ -97,6 +100,27 @@ class Action:
 
 
 Script = tuple[Action, ...]
+
+
+def rounded(script: Iterable[Action]) -> Script:
+    """A script in whole thousandths, as files keep it.
+
+    Args:
+        script: The script.
+
+    Returns:
+        It, with times, values and points rounded.
+    """
+    return tuple(
+        replace(
+            action,
+            at=round(action.at, DECIMALS),
+            value=round(action.value, DECIMALS),
+            over=round(action.over, DECIMALS),
+            way=tuple((round(x, DECIMALS), round(y, DECIMALS)) for x, y in action.way),
+        )
+        for action in script
+    )
 
 
 def script_json(script: Iterable[Action]) -> list[dict[str, Any]]:

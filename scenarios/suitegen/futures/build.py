@@ -7,12 +7,13 @@ import tempfile
 import zlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from dosplan_sumo.acts import ENDING
+from dosplan_sumo.script import rounded
 
 from dosplan.scenario.commonroad.drafts import Header
 from dosplan.scenario.commonroad.writer import compress
@@ -159,7 +160,7 @@ def _acts(staging: Staging, rng: Rng) -> list[Act]:
     for _ in range(DRAWS):
         acts = [staging.futures(k, rng) for k in range(FUTURES)]
         if len({act.intention for act in acts}) > 1:
-            return acts
+            return [replace(act, script=rounded(act.script)) for act in acts]
     raise RejectedError("all futures have one intention")
 
 

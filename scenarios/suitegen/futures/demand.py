@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
-from dosplan_sumo.script import Action, Script, Verb
+from dosplan_sumo.script import Action, Script, Verb, rounded
 
 from suitegen.roads import Rng
 from suitegen.traffic import STEP, demand_of, vehicle_type
@@ -71,7 +71,7 @@ def scene_demand(staging: Staging, rng: Rng, until: float) -> Demand:
             placed.append(Action(actor.depart + STEP, actor.id, Verb.WAIT, way=way))
     everybody.sort(key=lambda element: float(element.attrib["depart"]))
     root.extend(everybody)
-    return Demand(root, users, (*placed, *staging.prelude))
+    return Demand(root, users, rounded((*placed, *staging.prelude)))
 
 
 def _type_of(actor: Actor, root: Element, rng: Rng) -> tuple[str, float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import shutil
 from pathlib import Path
 
@@ -113,7 +114,7 @@ def test_the_file_is_one_of_those_that_a_run_depends_on(
 )
 def test_a_broken_file_is_one_line(place: Path, content: str) -> None:
     path = place.parents[1] / "sumo-files" / f"{ZEBRA}{ENDING}"
-    path.write_text(content)
+    path.write_bytes(gzip.compress(content.encode()))
     with pytest.raises(ScenarioError, match="tells no futures"):
         read_acts(path)
     reason = SumoTraffic.refuses(load_scenario(place))

@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet --constraint constraints.txt
 WORKERS ?= $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
+# How many of the recorded futures of each scenario; the suite has five.
+FUTURES ?= 2
 RUN_ARGS ?=
 BENCH_ARGS ?=
 PEERS_ARGS ?=
@@ -13,7 +15,7 @@ SIDE_BY_SIDE = --numprocesses $(WORKERS) --dist worksteal
 .PHONY: run test test-all suite-check bench peers bench-peers lint clean
 
 run: $(VENV)/.run
-	$(BIN)/dosplan run --workers $(WORKERS) $(RUN_ARGS)
+	$(BIN)/dosplan run --workers $(WORKERS) --futures $(FUTURES) $(RUN_ARGS)
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow" --cov --cov-report=term:skip-covered --cov-fail-under=90

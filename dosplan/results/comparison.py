@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dosplan.results.paired import Difference, mean_difference, share_difference
+from dosplan.results.power import smallest_difference
 from dosplan.results.rows import read_run
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Metric
@@ -55,6 +56,9 @@ class Comparison:
         b: Name of side B.
         n: Number of pairs of episodes that are compared: scenarios times futures.
         futures: Number of futures of each scenario.
+        scenarios: Number of scenarios that the pairs are of; 0 in an older file.
+        detectable: Smallest difference of the share of collisions that so many pairs would show
+            with a probability of 80 % (``dosplan.results.power``); None where none is.
         places: Number of places the scenarios are of.
         unusable: Number of pairs that are left out, since they are unusable, or the traffic failed,
             on a side.
@@ -67,6 +71,8 @@ class Comparison:
     b: str
     n: int
     futures: int = field(kw_only=True, default=1)
+    scenarios: int = field(kw_only=True, default=0)
+    detectable: float | None = field(kw_only=True, default=None)
     places: int
     unusable: int = field(kw_only=True, default=0)
     differences: Mapping[str, Difference]
@@ -93,6 +99,8 @@ class Comparison:
                 ("changes", tuple[Change, ...]),
                 ("unusable", int, field(default=0)),
                 ("futures", int, field(default=1)),
+                ("scenarios", int, field(default=0)),
+                ("detectable", float | None, field(default=None)),
                 *((m.name, Difference | None, field(default=None)) for m in metrics.METRICS),
             ],
         )
@@ -108,6 +116,8 @@ class Comparison:
             places=content.places,
             unusable=content.unusable,
             futures=content.futures,
+            scenarios=content.scenarios,
+            detectable=content.detectable,
             differences={name: one for name, one in found.items() if one is not None},
             changes=content.changes,
         )
@@ -147,6 +157,8 @@ def compare_rows(
         b=name_b,
         n=len(pairs),
         futures=len({row.future for row in a}),
+        scenarios=len({row.scenario for row, _ in pairs}),
+        detectable=_detectable(pairs),
         places=len({place_of(row.scenario) for row, _ in pairs}),
         unusable=len(every) - len(pairs),
         differences={name: one for name, one in found.items() if one is not None},
@@ -279,6 +291,13 @@ def _read_sides(spec: str) -> dict[Arm, Side]:
     if not held:
         raise CompareError(f"{path} holds no episode of the arm {named}")
     return held
+
+
+def _detectable(pairs: Sequence[tuple[Score, Score]]) -> float | None:
+    """The smallest difference of collisions that pairs would show; None where there is none."""
+    collides = [[row.outcome is Outcome.COLLISION for row in pair] for pair in pairs]
+    a, b = np.array(collides, dtype=np.float64).reshape(-1, 2).T
+    return smallest_difference(b - a, [row.scenario for row, _ in pairs])
 
 
 def _compare(metric: Metric, pairs: Sequence[tuple[Score, Score]]) -> Difference | None:

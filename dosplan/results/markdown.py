@@ -182,16 +182,45 @@ def difference_lines(summary: Summary) -> list[str]:
         summary: The summary of a run.
 
     Returns:
-        A line on success, or none where one arm ran or nothing is usable.
+        Lines on success, on collisions, and on what so many pairs would show; none where one arm
+        ran or nothing is usable.
     """
-    if summary.comparison is None or "success" not in summary.comparison.differences:
+    comparison = summary.comparison
+    if comparison is None or "success" not in comparison.differences:
         return []
-    metric, success = find_metric("success"), summary.comparison.differences["success"]
-    return [
-        f"Success, with DOS minus without: {metric.shown(success.difference, '+')} points "
-        f"(95 % interval {interval_text(metric, success)}; "
-        f"{test_name(summary.comparison)} p = {success.p:.3g}, {size_text(summary.comparison)})"
-    ]
+    lines = []
+    for name, size in (("success", f", {size_text(comparison)}"), ("collision", "")):
+        metric, found = find_metric(name), comparison.differences.get(name)
+        if found is None:  # An older file need not have it.
+            continue
+        lines.append(
+            f"{metric.short}, with DOS minus without: {metric.shown(found.difference, '+')} points "
+            f"(95 % interval {interval_text(metric, found)}; "
+            f"{test_name(comparison)} p = {found.p:.3g}{size})"
+        )
+    return [*lines, power_line(comparison)] if comparison.scenarios else lines
+
+
+def power_line(comparison: Comparison) -> str:
+    """Says what the pairs of a comparison would show of collisions.
+
+    Args:
+        comparison: The comparison.
+
+    Returns:
+        A line: how many pairs of how many scenarios, and the smallest difference.
+    """
+    smallest, collision = comparison.detectable, find_metric("collision")
+    pairs = f"{comparison.n} pairs of {comparison.scenarios} scenarios"
+    if smallest is None:
+        return f"Power: {pairs} are too few to show any difference of collisions."
+    halved = ""
+    if 2.0 * smallest <= 1.0:
+        halved = f"; a halving, where {collision.shown(2.0 * smallest)} % or more collide without"
+    return (
+        f"Power: with a probability of 80 %, {pairs} show a difference of collisions of "
+        f"{collision.shown(smallest)} points or more{halved}."
+    )
 
 
 def test_name(comparison: Comparison) -> str:

@@ -25,8 +25,8 @@ for module in pkgutil.walk_packages(suitegen.__path__, "suitegen."):
 JUDGE = """
 from suitegen.futures.search import find_drive
 from suitegen.futures.verdict import Accepted, in_future, judge
-from tests.support.futures import two_futures
-scenario = two_futures(15.0, braking=[0])
+from tests.support.futures import steps_out
+scenario = steps_out(20.0)
 drive = find_drive(in_future(scenario, 0))
 assert isinstance(judge(scenario, [drive, drive]), Accepted)
 """

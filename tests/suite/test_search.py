@@ -14,6 +14,8 @@ from suitegen.futures.verdict import (
     UNSOLVED,
     Accepted,
     Rejected,
+    baseline_rows,
+    defeats,
     in_future,
     judge,
 )
@@ -21,9 +23,9 @@ from suitegen.futures.verdict import (
 from dosplan.scenario import load_scenario
 from dosplan.scenario.synthetic import LANE_WIDTH
 from dosplan.scoring.collision import first_contacts
-from dosplan.types import FloatArray, GoalState, LightColour, Scenario, StopCause
+from dosplan.types import CollisionClass, FloatArray, GoalState, LightColour, Scenario, StopCause
 from tests.support.factories import ruled_scenario, stop_at
-from tests.support.futures import goal_at, stopped, two_futures
+from tests.support.futures import goal_at, leader_brakes, steps_out, stopped
 from tests.support.suite import SUITE, Row, each
 
 LENGTH = 4.508
@@ -140,14 +142,21 @@ def test_it_solves_the_suite_of_one_future(row: Row) -> None:
 def verdict_on(scenario: Scenario) -> Accepted | Rejected:
     drive = find_drive(in_future(scenario, 0))
     assert drive is not None
-    return judge(scenario, [drive, drive])
+    return judge(scenario, [drive] * (1 + len(scenario.futures)))
 
 
-def test_a_scenario_that_a_future_decides_is_accepted() -> None:
-    scenario = two_futures(15.0, braking=(0,))
+@pytest.mark.parametrize(
+    ("x", "defeats"),
+    [
+        (20.0, "idm:1 cruise:1 (pedestrian after 1.5 s, active_front)"),
+        (25.0, "idm late:1 cruise:1 (pedestrian after 2.0 s, active_front)"),
+    ],
+)
+def test_a_scenario_that_a_future_decides_is_accepted(x: float, defeats: str) -> None:
+    scenario = steps_out(x)
     verdict = verdict_on(scenario)
     assert isinstance(verdict, Accepted)
-    assert verdict.defeats == "cruise:1 (car after 3.3 s, stopped_track)"
+    assert verdict.defeats == defeats
     assert len(verdict.drives) == 2
     for future, drive in enumerate(verdict.drives):
         assert solved(scored(in_future(scenario, future), drive), scenario.task)
@@ -157,10 +166,28 @@ def test_a_scenario_that_a_future_decides_is_accepted() -> None:
 @pytest.mark.parametrize(
     ("scenario", "reason"),
     [
-        (two_futures(15.0, braking=()), UNDEFEATED),
-        (two_futures(0.5, braking=(0,), at=1), AT_ONCE),
-        (two_futures(15.0, braking=range(14)), UNSOLVED),
+        (replace(steps_out(20.0), futures=()), UNDEFEATED),
+        (leader_brakes(15.0), UNDEFEATED),  # It defeats ``cruise`` alone.
+        (steps_out(12.0, at=1), AT_ONCE),
     ],
+    ids=["nobody", "cruise", "at-once"],
 )
 def test_a_scenario_is_rejected(scenario: Scenario, reason: str) -> None:
     assert verdict_on(scenario) == Rejected(reason)
+
+
+def test_a_future_that_is_not_solved_rejects(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = steps_out(20.0)
+    first = scenario.tracks
+    monkeypatch.setattr(
+        "suitegen.futures.verdict.find_drive",
+        lambda future, driven: driven[0] if future.tracks is first else None,
+    )
+    assert verdict_on(scenario) == Rejected(UNSOLVED)
+
+
+def test_to_be_struck_from_behind_is_no_defeat() -> None:
+    """Who follows does not see the ego, whatever it brakes for."""
+    row = baseline_rows(steps_out(20.0))["idm"][1]
+    assert defeats(row)
+    assert not defeats(replace(row, collision_class=CollisionClass.ACTIVE_REAR))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -77,20 +76,38 @@ def goal_at(x: float, last: int) -> GoalState:
     return GoalState(0, last, box(x - 6.0, -half, x + 6.0, half))
 
 
-def two_futures(gap: float, braking: Iterable[int], at: int = 10) -> Scenario:
-    """A leader and a column of 13 beside it at 12 m/s go on in future 0, some brake in future 1.
+def leader_brakes(gap: float) -> Scenario:
+    """A leader and a column beside it drive at 12 m/s; the leader brakes hard in future 1 alone.
 
     Args:
         gap: From the ego's front to the leader's rear, m.
-        braking: Who brakes hard: 0 is the leader, then the column from behind.
-        at: The step after which they brake.
     """
     vehicle = VehicleParameters()
     front = vehicle.rear_to_centre + 0.5 * vehicle.length
     column = [(x, LANE_WIDTH, 0.0, 12.0) for x in np.arange(-12.0, 90.0, 8.0)]
     users = [(front + gap + 0.5 * CAR_SIZE[0], 0.0, 0.0, 12.0), *column]
     scenario = ruled_scenario(users=users, velocity=12.0, goals=[goal_at(62.0, 110)], seconds=11.0)
-    other = scenario.tracks
-    for row in braking:
-        other = stopped(other, 100 + row, at)
-    return replace(scenario, futures=(other,))
+    return replace(scenario, futures=(stopped(scenario.tracks, 100, 10),))
+
+
+def steps_out(x: float, at: int = 8) -> Scenario:
+    """Somebody stands at the right edge of the lane, and walks across it in future 1 alone.
+
+    A column drives in the lane beside the ego at its speed, 12 m/s.
+
+    Args:
+        x: Where, m.
+        at: The last step at which the person stands.
+    """
+    column = [(c, LANE_WIDTH, 0.0, 12.0) for c in np.arange(-12.0, 90.0, 8.0)]
+    scenario = ruled_scenario(
+        users=[*column, (x, -2.2, np.pi / 2.0, 0.0)],
+        kinds=(*[RoadUserKind.CAR] * len(column), RoadUserKind.PEDESTRIAN),
+        velocity=12.0,
+        goals=[goal_at(62.0, 110)],
+        seconds=11.0,
+    )
+    states = np.array(scenario.tracks.states)
+    states[-1, at + 1 :, USER_Y] += 0.25 * np.arange(1, scenario.tracks.steps - at)
+    states[-1, at + 1 :, USER_VELOCITY] = 2.5
+    return replace(scenario, futures=(replace(scenario.tracks, states=states),))

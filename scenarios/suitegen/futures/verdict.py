@@ -21,14 +21,19 @@ from dosplan.api import Planner, Predictor
 from dosplan.scoring.fault import STRUCK
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
+from dosplan.simulation.settings import IDEAL, LoopSettings
 from dosplan.types import Arm, FloatArray, Outcome, Scenario, Score
 from suitegen.futures.search import find_drive, scored
 
 FIRST_CONTACT = 12
-"""Steps at least between the start and a collision of the baselines: time to react."""
-BASELINES: Final[Mapping[str, type[Planner]]] = {"idm": IdmPlanner, "cruise": CruisePlanner}
-AT_ONCE = "a baseline collides at once"
-UNDEFEATED = "no future defeats a baseline"
+"""Steps at least between the start and a collision of ``idm``: time to react."""
+LATE: Final = replace(IDEAL, latency=0.3)
+"""The loop in which ``idm`` is driven where it is defeated in no future in the ideal one: what is
+seen acts 0.3 s later, and is exact."""
+DECISIVE: Final = ("idm", "idm late")
+"""Whose defeat decides, see ``baseline_rows``; ``cruise`` looks at nobody and is told beside."""
+AT_ONCE = "idm collides at once"
+UNDEFEATED = "no future defeats idm"
 HARMFUL = "no future is harmless"
 BRAKING = "braking at once succeeds in every future"
 UNSOLVED = "no drive is found that solves a future"
@@ -72,23 +77,29 @@ def in_future(scenario: Scenario, future: int) -> Scenario:
 
 
 def baseline_rows(scenario: Scenario) -> dict[str, list[Score]]:
-    """Drives ``idm`` and ``cruise`` through every future.
+    """Drives ``idm`` through every future, and ``cruise`` where that is defeated.
 
     Args:
         scenario: The scenario with its K futures.
 
     Returns:
-        Their K rows each, by the planner's name.
+        K rows each: ``idm`` in the ideal loop; ``idm late`` in a loop that is ``LATE``, only where
+        it is defeated in no future before; ``cruise``, only where either is defeated in one.
     """
     futures = [in_future(scenario, k) for k in range(1 + len(scenario.futures))]
-    return {
-        name: [_driven(future, planner(), ConstantVelocityPredictor()) for future in futures]
-        for name, planner in BASELINES.items()
-    }
+    predictor = ConstantVelocityPredictor()
+    rows = {"idm": [_driven(future, IdmPlanner(), predictor) for future in futures]}
+    if not any(map(defeats, rows["idm"])):
+        rows["idm late"] = [_driven(future, IdmPlanner(), predictor, LATE) for future in futures]
+    if any(map(defeats, [*rows["idm"], *rows.get("idm late", ())])):
+        rows["cruise"] = [_driven(future, CruisePlanner(), predictor) for future in futures]
+    return rows
 
 
-def _driven(scenario: Scenario, planner: Planner, predictor: Predictor) -> Score:
-    return score(scenario, run_episode(scenario, planner, predictor, Arm.WITHOUT_DOS))
+def _driven(
+    scenario: Scenario, planner: Planner, predictor: Predictor, loop: LoopSettings = IDEAL
+) -> Score:
+    return score(scenario, run_episode(scenario, planner, predictor, Arm.WITHOUT_DOS, loop))
 
 
 def defeats(row: Score) -> bool:
@@ -111,11 +122,12 @@ def defeat_words(scenario: Scenario, rows: Mapping[str, Sequence[Score]]) -> str
         rows: See ``baseline_rows``.
 
     Returns:
-        Such as ``idm:2 cruise:2,4 (car after 3.1 s, active_front)``; empty where there is none.
+        Such as ``idm late:2 cruise:2,4 (car after 3.1 s, active_front)``, which is the collision of
+        ``idm``; empty where there is none.
     """
     found = {name: [k for k, row in enumerate(each) if defeats(row)] for name, each in rows.items()}
     parts = [f"{name}:{','.join(map(str, numbers))}" for name, numbers in found.items() if numbers]
-    hits = [(rows[name][k].steps, k, name) for name, numbers in found.items() for k in numbers]
+    hits = [(rows[name][k].steps, k, name) for name in DECISIVE for k in found.get(name, ())]
     if not hits:
         return ""
     steps, future, name = min(hits)
@@ -133,10 +145,10 @@ def judge(scenario: Scenario, stand_ins: Sequence[FloatArray]) -> Accepted | Rej
             heading and velocity from the start step on.
 
     Returns:
-        Accepted where ``idm`` or ``cruise`` is defeated in at least one future, neither collides
-        within ``FIRST_CONTACT`` steps of the start, ``idm`` or the stand-in succeeds in at least
-        one, braking to a stop at once does not succeed in all, and a drive is found that solves
-        each of them.
+        Accepted where ``idm`` is defeated in at least one future, in the ideal loop or in a late
+        one, collides in none within ``FIRST_CONTACT`` steps of the start, ``idm`` or the stand-in
+        succeeds in at least one, braking to a stop at once does not succeed in all, and a drive is
+        found that solves each of them.
     """
     rows = baseline_rows(scenario)
     reason = _too_easy_or_hard(scenario, rows, stand_ins)
@@ -156,7 +168,7 @@ def _too_easy_or_hard(
     scenario: Scenario, rows: Mapping[str, Sequence[Score]], stand_ins: Sequence[FloatArray]
 ) -> str | None:
     """Why the baselines' drives speak against a scenario; None where they do not."""
-    every = [row for each in rows.values() for row in each]
+    every = [row for name in DECISIVE for row in rows.get(name, ())]
     if any(row.outcome is Outcome.COLLISION and row.steps < FIRST_CONTACT for row in every):
         return AT_ONCE
     if not any(map(defeats, every)):

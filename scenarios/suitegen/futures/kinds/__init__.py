@@ -8,9 +8,9 @@ from types import MappingProxyType
 
 from suitegen.futures.staging import Kind
 
-from . import leader
+from . import crossings, leader, people
 
-MODULES = (leader,)
+MODULES = (leader, crossings, people)
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {kind.code: kind for kind in chain.from_iterable(module.KINDS for module in MODULES)}
 )

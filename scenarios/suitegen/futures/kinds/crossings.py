@@ -1,0 +1,465 @@
+"""Kinds at crossings: who turns across, runs a light, does not yield, or is met on a left turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from dosplan_sumo.script import Action, Script, Verb
+
+from suitegen.futures.staging import EGO, PEDESTRIAN, Act, Actor, Kind, Spot, Staging
+from suitegen.plain import Crossing, Network, Node, Point
+from suitegen.roads import KMH, Arm, Flow, Rng, Road, star, urban_lanes
+
+from .behaviour import (
+    BRANCH,
+    FIRST,
+    LIGHT_MIX,
+    RED_RUNNING,
+    RUNNING,
+    START,
+    STOPPING_AT_AMBER,
+    TURNING,
+    WARMUP,
+    at_time,
+    between,
+    chosen,
+    halt,
+    setting_off,
+    step_out,
+    walking_speed,
+)
+
+GAIN = 2.6
+"""Acceleration of who does not yield, m/s2."""
+TIGHT = (4.0, 6.0)
+"""Radii of kerbs, m, at crossings at which who comes from the side is soon in the way."""
+HALF_PI = 0.5 * np.pi
+MAIN_AMBER, MAIN_GREEN = 42.0, 90.0
+"""SUMO's times at which netconvert's program shows amber, and green again, to the main road, s.
+
+The side road has its green between, and red from ``MAIN_GREEN`` on: there is no time at which all
+lights are red, so who runs a light one or two seconds late meets who has a fresh green.
+"""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A crossing; the ego comes on ``a0-``, ``a1`` is to its right, ``a2`` ahead, ``a3`` left.
+
+    Attributes:
+        network: The network.
+        angles: Directions in which the arms leave, rad.
+        cut: From the stop lines to the middle, m.
+        width: Width of a lane, m.
+        limit: Speed limit of the main road, m/s.
+        lane: Index of the lane for vehicles.
+    """
+
+    network: Network
+    angles: tuple[float, ...]
+    cut: float
+    width: float
+    limit: float
+    lane: int
+
+    def beside(self, arm: int, out: float, left: float) -> Point:
+        """A point ``out`` m from the middle along an arm and ``left`` m to the left of it."""
+        angle = self.angles[arm]
+        x = out * np.cos(angle) - left * np.sin(angle)
+        y = out * np.sin(angle) + left * np.cos(angle)
+        return float(x), float(y)
+
+
+def draw_place(
+    rng: Rng,
+    limit: float,
+    kind: str = "priority",
+    arms: tuple[int, ...] = (0, 1, 2, 3),
+    walks: bool = False,
+    radii: tuple[float, float] = (6.5, 9.0),
+) -> Place:
+    """Draws a crossing of a main road, ``a0`` and ``a2``, with side roads."""
+    turn = float(rng.uniform(-np.pi, np.pi))
+    angles = tuple(turn + arm * HALF_PI + float(rng.uniform(-0.1, 0.1)) for arm in range(4))
+    lanes = urban_lanes(rng, 1, sidewalk=walks)
+    legs = [
+        Arm(
+            angle,
+            tuple(lanes),
+            limit if arm % 2 == 0 else 50 * KMH,
+            3 - 2 * (arm % 2),
+            length=float(rng.uniform(210.0, 230.0) if arm == 2 else rng.uniform(140.0, 170.0)),
+            bend=float(rng.uniform(-0.3, 0.3)),
+        )
+        for arm, angle in enumerate(angles)
+    ]
+    radius, width = between(rng, radii), lanes[-1].width
+    nodes, edges = star(Node("c", (0.0, 0.0), kind, radius), legs)
+    kept = {f"a{arm}{way}" for arm in arms for way in "+-"}
+    network = Network(
+        tuple(node for node in nodes if node.id == "c" or int(node.id[1:]) in arms),
+        tuple(edge for edge in edges if edge.id in kept),
+        crossings=tuple(Crossing("c", (f"a{i}+", f"a{i}-"), 4.0) for i in arms if walks),
+    )
+    cut = radius + width + (2.7 if walks else 0.0)
+    return Place(network, angles, cut, width, limit, int(walks))
+
+
+def ego(target: str, speed: float, before: float, place: Place) -> Actor:
+    """The stand-in, at a constant speed as far as the crossing lets it.
+
+    Args:
+        target: Edge on which it leaves.
+        speed: m/s.
+        before: Distance from the stop line at the scenario's start, m.
+        place: The crossing.
+
+    Returns:
+        It, on ``a0-``.
+    """
+    driver = {"speedFactor": f"{speed / place.limit:.3f}", "speedDev": "0"}
+    at = -(before + START * speed)
+    return Actor(EGO, EGO, ("a0-", target), at, speed, lane=place.lane, driver=driver)
+
+
+def comes(
+    name: str, kind: str, route: tuple[str, str], speed: float, before: float, place: Place
+) -> tuple[Actor, Action]:
+    """A vehicle that keeps its speed until the branch, so far from its stop line at the start."""
+    driver = {
+        "sigma": "0",
+        "speedFactor": f"{max(1.0, speed / place.limit):.3f}",
+        "speedDev": "0",
+        "accel": f"{GAIN}",
+    }
+    actor = Actor(name, kind, route, -(before + START * speed), speed, driver=driver)
+    return actor, Action(FIRST, name, Verb.SPEED, speed)
+
+
+def _speeding_up(metres: float, speed: float, to: float) -> float:
+    """Time for a way of somebody who speeds up from one speed to another, m/s."""
+    ramp = (to - speed) / GAIN
+    way = 0.5 * (speed + to) * ramp
+    if way > metres:
+        return float((np.sqrt(speed**2 + 2.0 * GAIN * metres) - speed) / GAIN)
+    return ramp + (metres - way) / to
+
+
+def _careless(name: str, speed: float, at: float = 0.0) -> Script:
+    return Action(at, name, Verb.CARELESS), Action(at, name, Verb.SPEED, speed)
+
+
+def _oncoming_turn(rng: Rng) -> Staging:
+    limit = float(rng.choice([50, 60])) * KMH
+    place = draw_place(rng, limit, arms=(0, 1, 2) if rng.random() < 0.5 else (0, 1, 2, 3))
+    speed = limit * float(rng.uniform(0.85, 1.0))
+    turning = between(rng, TURNING)
+    kind = str(rng.choice(["car", "car", "van"]))
+    # The way of the one who turns, from its stop line until it is in the ego's lane.
+    into = 0.64 * place.cut
+    met = float(rng.uniform(4.0, 5.2))
+    line = met - float(rng.uniform(0.2, 0.8)) - into / turning
+    name = "oncoming"
+    other, pace = comes(name, kind, ("a2-", "a0+"), turning, line * turning, place)
+    cast = (ego("a2+", speed, met * speed - place.cut - 2.0, place), other)
+
+    def futures(_: int, rng: Rng) -> Act:
+        wish = chosen(rng, {"on": 0.4, "across": 0.4, "behind": 0.2})
+        if wish == "on":
+            return Act("goes straight on", (Action(0.0, name, Verb.FREE),))
+        route = Action(0.0, name, Verb.ROUTE, edge="a1+")
+        if wish == "behind":
+            free = Action(0.0, name, Verb.FREE)
+            return Act("waits in the crossing and turns behind the ego", (free, route))
+        turn = _careless(name, turning * float(rng.uniform(0.92, 1.08)))
+        stop = halt(line - BRANCH - 0.2, 7.0)
+        return Act("turns left across the ego's way", (route, *turn, stop))
+
+    return Staging(
+        Road(
+            place.network,
+            (Flow("a2-", "a0+", 120.0, LIGHT_MIX),),
+            (),
+            tags=("urban", "intersection", "oncoming_traffic"),
+        ),
+        cast,
+        at_time(WARMUP + START),
+        futures,
+        Spot("a2+", float(rng.uniform(25.0, 40.0))),
+        branch=BRANCH,
+        warmup=WARMUP,
+        seconds=15.0,
+        prelude=(pace,),
+    )
+
+
+def _minor_road(rng: Rng) -> Staging:
+    limit = float(rng.choice([50, 60])) * KMH
+    right = bool(rng.random() < 0.6)
+    source = "a1-" if right else "a3-"
+    place = draw_place(rng, limit, radii=TIGHT)
+    speed = limit * float(rng.uniform(0.85, 1.0))
+    merges = right and bool(rng.random() < 0.4)
+    # Seen from the ego: merges beyond the middle, crosses at the side on which it drives.
+    target = "a2+" if merges else ("a3+" if right else "a1+")
+    beyond = 4.0 if merges else (0.5 if right else -0.5) * place.width
+    rolling, going = float(rng.uniform(3.0, 4.2)), float(rng.uniform(5.5, 7.0))
+    into = place.cut - (place.width if right else 0.0) + (2.0 if merges else 0.0)
+    line = BRANCH + float(rng.uniform(0.5, 0.9))
+    goes = _speeding_up(rolling * (line - BRANCH) + into, rolling, going)
+    met = BRANCH + goes + float(rng.uniform(0.0, 0.4))
+    name = "side"
+    kind = str(rng.choice(["car", "car", "van"]))
+    other, pace = comes(name, kind, (source, target), rolling, line * rolling, place)
+    cast = (ego("a2+", speed, met * speed - place.cut - beyond + 1.0, place), other)
+
+    def futures(_: int, rng: Rng) -> Act:
+        if chosen(rng, {"yields": 0.55, "goes": 0.45}) == "yields":
+            return Act("yields", (Action(0.0, name, Verb.FREE),))
+        pull = _careless(name, going * float(rng.uniform(0.95, 1.1)))
+        pull = (*pull, Action(goes + 1.0, name, Verb.FREE), halt(0.3, 7.0))
+        return Act("does not yield and " + ("turns in" if merges else "crosses"), pull)
+
+    return Staging(
+        Road(
+            place.network,
+            (Flow("a2-", "a0+", 180.0, LIGHT_MIX),),
+            (),
+            tags=("urban", "intersection"),
+        ),
+        cast,
+        at_time(WARMUP + START),
+        futures,
+        Spot("a2+", float(rng.uniform(30.0, 45.0))),
+        branch=BRANCH,
+        warmup=WARMUP,
+        seconds=13.0,
+        prelude=(pace,),
+    )
+
+
+def _left_turn(rng: Rng) -> Staging:
+    limit = float(rng.choice([50, 60])) * KMH
+    place = draw_place(rng, limit, arms=(0, 2, 3) if rng.random() < 0.5 else (0, 1, 2, 3))
+    speed = float(rng.uniform(7.0, 9.0))
+    before = speed * float(rng.uniform(2.2, 2.8))
+    oncoming = float(rng.uniform(9.5, 12.0))
+    line = float(rng.uniform(3.3, 4.3))
+    name = "oncoming"
+    kind = str(rng.choice(["car", "car", "van", "motorcycle"]))
+    other, pace = comes(name, kind, ("a2-", "a0+"), oncoming, line * oncoming, place)
+    cast = (ego("a3+", speed, before, place), other)
+
+    def futures(_: int, rng: Rng) -> Act:
+        wish = chosen(rng, {"keeps": 0.35, "faster": 0.3, "slower": 0.35})
+        if wish == "keeps":
+            return Act("keeps its speed", ())
+        if wish == "faster":
+            value = min(oncoming * float(rng.uniform(1.25, 1.4)), 1.1 * limit)
+            return Act("speeds up to be there first", (Action(0.0, name, Verb.SPEED, value),))
+        brake = Action(0.0, name, Verb.BRAKE, float(rng.uniform(3.5, 5.0)), over=2.2)
+        return Act("slows down", (brake, Action(3.0, name, Verb.FREE)))
+
+    return Staging(
+        Road(place.network, (), (), tags=("urban", "intersection", "oncoming_traffic")),
+        cast,
+        at_time(WARMUP + START),
+        futures,
+        Spot("a3+", float(rng.uniform(12.0, 20.0))),
+        branch=BRANCH,
+        warmup=WARMUP,
+        seconds=15.0,
+        prelude=(pace,),
+    )
+
+
+def _amber_turn(rng: Rng) -> Staging:
+    place = draw_place(rng, 50 * KMH, "traffic_light")
+    start = MAIN_AMBER - float(rng.uniform(1.1, 1.3))
+    speed = float(rng.uniform(6.0, 7.5))
+    before = speed * float(rng.uniform(0.9, 1.25))
+    oncoming = float(rng.uniform(9.5, 11.5))
+    line = MAIN_AMBER - start + float(rng.uniform(2.0, 2.7))
+    name = "oncoming"
+    kind = str(rng.choice(["car", "car", "van"]))
+    other, pace = comes(name, kind, ("a2-", "a0+"), oncoming, line * oncoming, place)
+    cast = (ego("a3+", speed, before, place), other)
+
+    def futures(_: int, rng: Rng) -> Act:
+        reaction = MAIN_AMBER - start - BRANCH + float(rng.uniform(0.5, 0.9))
+        left = oncoming * (line - BRANCH - reaction)
+        if chosen(rng, {"stops": 0.5, "runs": 0.5}) == "stops":
+            over = max(2.0 * (left - 0.7) / oncoming, oncoming / STOPPING_AT_AMBER[1])
+            brake = Action(reaction, name, Verb.BRAKE, 0.0, over=over)
+            return Act("stops at the amber light", (brake,))
+        run = _careless(name, oncoming * between(rng, RED_RUNNING), reaction)
+        passes = line + place.cut / oncoming - BRANCH
+        waits = halt(0.0, 3.5, max(0.5, passes - speed / 3.5))
+        return Act("runs the amber light", (*run, waits))
+
+    return Staging(
+        Road(place.network, (), (), tags=("urban", "intersection", "oncoming_traffic")),
+        cast,
+        at_time(start),
+        futures,
+        Spot("a3+", float(rng.uniform(12.0, 18.0))),
+        branch=BRANCH,
+        warmup=start - START,
+        seconds=15.0,
+        prelude=(pace,),
+    )
+
+
+def _red_run(rng: Rng) -> Staging:
+    place = draw_place(rng, 50 * KMH, "traffic_light", radii=TIGHT)
+    start = MAIN_GREEN + float(rng.uniform(0.2, 1.0))
+    right = bool(rng.random() < 0.5)
+    route = ("a1-", "a3+") if right else ("a3-", "a1+")
+    # It slows down as if it were to stop, until it does or does not.
+    fast, rolling = float(rng.uniform(8.0, 10.0)), float(rng.uniform(5.0, 6.5))
+    line = BRANCH + rolling / (2.0 * float(rng.uniform(3.2, 4.2)))
+    into = place.cut - (place.width if right else 0.0)
+    goes = _speeding_up(rolling * (line - BRANCH) + into, rolling, fast)
+    met = BRANCH + goes + float(rng.uniform(0.0, 0.4))
+    speed = float(rng.uniform(10.0, 12.5))
+    name = "crossing"
+    kind = str(rng.choice(["car", "car", "van"]))
+    other, pace = comes(name, kind, route, fast, 0.0, place)
+    slowing = START + BRANCH - 2.0 * FIRST
+    way = 0.5 * (fast + rolling) * slowing + 2.0 * FIRST * fast
+    other = replace(other, position=-(way + rolling * (line - BRANCH)))
+    beyond = (0.5 if right else -0.5) * place.width
+    cast = (ego("a2+", speed, met * speed - place.cut - beyond + 1.0, place), other)
+
+    def futures(_: int, rng: Rng) -> Act:
+        if chosen(rng, {"stops": 0.55, "runs": 0.45}) == "stops":
+            over = 2.0 * (line - BRANCH) - 0.1
+            brake = Action(0.0, name, Verb.BRAKE, 0.0, over=over)
+            return Act("brakes and stops at the red light", (brake,))
+        run = _careless(name, fast * between(rng, RED_RUNNING))
+        return Act("runs the red light", (*run, halt(0.3, 6.0)))
+
+    return Staging(
+        Road(place.network, (), (), tags=("urban", "intersection")),
+        cast,
+        at_time(start),
+        futures,
+        Spot("a2+", float(rng.uniform(25.0, 40.0))),
+        branch=BRANCH,
+        warmup=start - START,
+        seconds=13.0,
+        prelude=(
+            Action(FIRST, name, Verb.CARELESS),
+            pace,
+            Action(2.0 * FIRST, name, Verb.BRAKE, rolling, over=slowing),
+        ),
+    )
+
+
+def _late_walker(rng: Rng) -> Staging:
+    place = draw_place(rng, 50 * KMH, "traffic_light", walks=True)
+    start = float(rng.uniform(12.0, 34.0))
+    right = bool(rng.random() < 0.6)
+    arm = 1 if right else 3
+    speed = float(rng.uniform(6.0, 7.5))
+    before = speed * float(rng.uniform(0.5, 1.1))
+    # The crossing lies between the stop line and the kerbs.
+    out, kerb = place.cut - 2.3, place.width + 0.6
+    # Who leaves on an arm drives to the right of it, so the near side is there.
+    near = bool(rng.random() < 0.6)
+    side = -1.0 if near else 1.0
+    pace = walking_speed(rng)
+    away = float(rng.uniform(0.0, 0.4))
+    stand = place.beside(arm, out, side * (kerb + away))
+    over = place.beside(arm, out, -side * (kerb + 2.0))
+    walker = Actor("walker", PEDESTRIAN, (f"a{arm}-",), 1.0, 0.0, lane=1, at=stand, facing=over)
+    cast = (ego(f"a{arm}+", speed, before, place), walker)
+    # Until the ego is at the crossing, and until the walker is on its way there.
+    arrives = before / speed + (11.0 if right else 19.0) / 4.6
+    enters = kerb + away - 1.13 + (-0.5 if near else 0.5) * place.width
+    sooner = float(rng.uniform(-0.3, 0.7))
+    delay = max(0.0, arrives - sooner - BRANCH - setting_off(enters, pace))
+
+    def futures(_: int, rng: Rng) -> Act:
+        wish = chosen(rng, {"waits": 0.45, "walks": 0.35, "runs": 0.2})
+        if wish == "waits":
+            return Act("waits for the ego", (step_out("walker", 8.0, pace, (over,)),))
+        value = pace if wish == "walks" else between(rng, RUNNING)
+        words = "steps out" if wish == "walks" else "runs across"
+        return Act(words, (step_out("walker", delay, value, (over,)),))
+
+    return Staging(
+        Road(place.network, (), (), tags=("urban", "intersection")),
+        cast,
+        at_time(start),
+        futures,
+        Spot(f"a{arm}+", float(rng.uniform(18.0, 28.0)), place.lane),
+        branch=BRANCH,
+        warmup=start - START,
+        seconds=14.0,
+    )
+
+
+KINDS = (
+    Kind(
+        "oncoming car turns left or goes on",
+        "OncomingTurn",
+        _oncoming_turn,
+        "The ego goes straight on with the right of way; an oncoming car has slowed down before "
+        "the crossing and turns left across the ego's way, waits, or goes on.",
+        "interPlan's conflicts with turning vehicles at crossings",
+        "the same past ends in a turn across, in waiting and in going on",
+        "goes on 40 %, turns across 40 %, waits and turns behind the ego 20 % (an assumption)",
+    ),
+    Kind(
+        "driver on a side road yields or not",
+        "NoYield",
+        _minor_road,
+        "The ego has the right of way; somebody rolls up to the line of a side road and stops "
+        "there, or turns in or crosses in front of the ego.",
+        "nothing: its vehicles keep the right of way",
+        "a driver who does not yield, from the left or the right",
+        "yields 55 %, goes 45 % (an assumption)",
+    ),
+    Kind(
+        "unprotected left turn",
+        "LeftTurn",
+        _left_turn,
+        "The ego turns left; an oncoming car is about a critical gap away and keeps its speed, "
+        "speeds up, or slows down.",
+        "unprotected left turns of nuPlan's hard split",
+        "the gap that counts is the one after the oncoming driver has decided",
+        "keeps its speed 35 %, speeds up 30 %, slows down 35 % (an assumption)",
+    ),
+    Kind(
+        "left turn at the end of green",
+        "AmberTurn",
+        _amber_turn,
+        "The ego is in a crossing with signals, about to turn left, as the light turns amber; an "
+        "oncoming car in its dilemma zone stops or runs the light.",
+        "nothing",
+        "whether amber is run decides who goes first",
+        "stops 50 %, runs the light 50 % (an assumption)",
+    ),
+    Kind(
+        "red light run or not",
+        "RedRun",
+        _red_run,
+        "The ego's light has just turned green; a car from the side brakes late for its red light, "
+        "or does not brake.",
+        "nothing: its vehicles keep the signals",
+        "a light that is run one to three seconds late",
+        "brakes 55 %, runs the light 45 % (an assumption)",
+    ),
+    Kind(
+        "turn over a crossing with a late pedestrian",
+        "LateWalker",
+        _late_walker,
+        "The ego turns at a crossing with signals; somebody stands at the pedestrian crossing of "
+        "the road into which it turns, and waits, walks or runs.",
+        "pedestrians on crossings that the ego turns over",
+        "whether somebody who stands still steps out is not to be seen",
+        "waits 45 %, walks 35 %, runs 20 % (an assumption)",
+    ),
+)

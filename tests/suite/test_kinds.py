@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-pytest.importorskip("libsumo", reason="needs dosplan[sumo]")
+pytest.importorskip("sumo", reason="needs dosplan[suite]")
 
 from kinds import SUITE, with_table
 from suitegen.futures.kinds import KINDS

@@ -32,7 +32,7 @@ from suitegen.roads import Rng
 from suitegen.sumo_inputs import sumo_inputs
 
 FUTURES = 5
-ATTEMPTS = 200
+ATTEMPTS = 60
 DRAWS = 50
 """How often the futures of a scene are drawn until they hold two intentions."""
 

@@ -5,33 +5,37 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from dosplan.cli.command import FAILED, OK, Command
-from dosplan.report.figures import FIGURES
+from dosplan.report.figures import FIGURES, FRONTIER
 
 _EXAMPLES: Final = """\
 examples:
   dosplan figures --out paper/figures
   dosplan figures trade-off planning --out paper/figures
+  dosplan figures frontier runs/frontier --out paper/figures
 """
+_FRONTIER: Final = "of the RUNs after it: collisions over velocity and success, by coverage"
 
 
 class FiguresCommand:
     """Writes the paper's figures."""
 
-    summary = "write the paper's figures from the published results, as PNG and PDF"
+    summary = "write the paper's figures from published results or from runs, as PNG and PDF"
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declares the arguments."""
-        listed = "\n".join(f"  {name:<18} {shows}" for name, shows in FIGURES.items())
+        every = {**FIGURES, FRONTIER: _FRONTIER}
+        listed = "\n".join(f"  {name:<18} {shows}" for name, shows in every.items())
         parser.epilog = f"figures:\n{listed}\n\n{_EXAMPLES}"
         parser.add_argument(
             "names",
             nargs="*",
-            type=_name,
+            action=_Names,
             metavar="NAME",
-            help="a figure (default: all of them)",
+            help="a figure (default: all of them that need no RUN); after frontier, run folders "
+            "and folders of sweeps",
         )
         parser.add_argument(
             "--out", type=Path, required=True, metavar="DIR", help="folder to write them to"
@@ -50,16 +54,21 @@ class FiguresCommand:
             0; 1 where a figure could not be drawn, which stderr has a line on.
 
         Raises:
+            CompareError: Runs are not of one world and the same scenarios.
+            FileError: A run cannot be read.
             RegistryError: The shipped predictor cannot be built.
             ScenarioError: The embedded suite cannot be read.
         """
         from dosplan.report.figures.sources import Published, default_results
-        from dosplan.report.figures.write import write_figure
+        from dosplan.report.figures.write import write_figure, write_frontier
         from dosplan.system.files import FileError
 
+        if options.runs:
+            png, pdf = write_frontier(options.runs, options.out)
+            print(f"{png} and {pdf.name}")
         published = Published(options.results or default_results())
         code = OK
-        for name in dict.fromkeys(options.names or FIGURES):
+        for name in dict.fromkeys(options.names or ([] if options.runs else FIGURES)):
             try:
                 png, pdf = write_figure(name, published, options.out)
             except FileError as error:
@@ -70,12 +79,28 @@ class FiguresCommand:
         return code
 
 
-def _name(text: str) -> str:
-    if text not in FIGURES:
-        raise argparse.ArgumentTypeError(
-            f"there is no figure {text!r}; choose from {', '.join(FIGURES)}"
-        )
-    return text
+class _Names(argparse.Action):
+    """Takes apart the figures of published results, and the runs whose frontier is wanted."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option: str | None = None,
+    ) -> None:
+        first = values.index(FRONTIER) if FRONTIER in values else len(values)
+        figures, runs = values[:first], values[first + 1 :]
+        if odd := [name for name in figures if name not in FIGURES]:
+            raise argparse.ArgumentError(
+                self,
+                f"there is no figure {odd[0]!r}; choose from {', '.join([*FIGURES, FRONTIER])}",
+            )
+        if first < len(values) and not runs:
+            raise argparse.ArgumentError(
+                self, f"{FRONTIER} is of runs: name their folders after it"
+            )
+        namespace.names, namespace.runs = figures, runs
 
 
 FIGURES_COMMAND: Final[Command] = FiguresCommand()

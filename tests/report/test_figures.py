@@ -20,9 +20,11 @@ from dosplan.cli.main import BAD_INPUT, FAILED, OK, main
 from dosplan.evaluation.groups import SPEED_BINS
 from dosplan.report.figures import (
     FIGURES,
+    FRONTIER,
     calibration,
     coverage_by_speed,
     cycle_time,
+    frontier,
     planning,
     representations,
     style,
@@ -31,8 +33,12 @@ from dosplan.report.figures import (
 )
 from dosplan.report.figures.sources import Z95, Published, default_results
 from dosplan.report.figures.style import save
+from dosplan.results.comparison import CompareError
 from dosplan.results.intervals import metric_interval
+from dosplan.results.paired import Difference
 from dosplan.results.rows import read_rows, write_rows
+from dosplan.results.table import Block, Row, Table
+from dosplan.results.table import Figure as Figured
 from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.scoring.metrics import find_metric
 from dosplan.scoring.score import failed_score
@@ -419,7 +425,7 @@ def test_the_manifest_of_figures_names_a_module_for_each() -> None:
     folder = Path(style.__file__).parent
     others = {"__init__", "sources", "style", "write"}
     modules = {path.stem for path in folder.glob("*.py")} - others
-    assert modules == {name.replace("-", "_") for name in FIGURES}
+    assert modules == {name.replace("-", "_") for name in (*FIGURES, FRONTIER)}
 
 
 def test_the_last_digits_of_a_layout_do_not_reach_the_file(tmp_path: Path) -> None:
@@ -431,3 +437,75 @@ def test_the_last_digits_of_a_layout_do_not_reach_the_file(tmp_path: Path) -> No
         figure.add_axes((0.6, 0.2 + shift, 0.3, 0.5)).plot([0.0, 1.0])
         written.append([path.read_bytes() for path in save(figure, tmp_path, name)])
     assert written[0] == written[1]
+
+
+def _row(run: str, arm: Arm, collision: float, velocity: float, **values: str) -> Row:
+    shares = {"collision": collision, "at_fault_collision": 0.5 * collision, "success": 0.8}
+    figures = {name: Figured(value) for name, value in shares.items()}
+    shift = Difference(n=10, places=3, a=0.2, b=0.1, difference=-0.1, low=-0.15, high=-0.02)
+    return Row(
+        run=run,
+        arm=arm,
+        values=values,
+        planner="p-v1",
+        predictor="q-v1",
+        traffic="replay",
+        loop="ideal",
+        futures=1,
+        seed=0,
+        ranked=True,
+        n=10,
+        places=3,
+        figures=figures | {"velocity": Figured(velocity)},
+        differences=dict.fromkeys(frontier.COLUMNS, shift),
+    )
+
+
+def test_the_frontier_has_a_curve_for_each_method_and_points_without_coverage() -> None:
+    made, without = Arm.WITH_DOS, Arm.WITHOUT_DOS
+    rows = [
+        _row("a", made, 0.10, 8.0, method="union", coverage="99"),
+        _row("b", made, 0.20, 9.0, method="union", coverage="50"),
+        _row("c", made, 0.15, 8.5, method="union", coverage="0.9"),
+        _row("d", without, 0.30, 9.5, method="points"),
+        _row("e", made, 0.25, 7.0),
+        _row("e", without, 0.35, 7.5),
+    ]
+    table = Table(frontier.COLUMNS, (Block("suite", "d:without_dos", tuple(rows)),))
+    found = frontier.methods(table)
+    assert [(one.title, one.levels) for one in found] == [
+        ("union", (50.0, 90.0, 99.0)),
+        ("points", None),
+        ("e, with DOS", None),
+        ("e, without DOS", None),
+    ]
+    assert found[0].barred is rows[2]
+    figure = frontier.draw(table)
+    axes = figure.axes[0]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [o.title for o in found]
+    corners = [line for line in axes.get_lines() if line.get_linestyle() == "-"]
+    drawn = [xy for line in corners if len(xy := np.asarray(line.get_xydata())) == 2]
+    np.testing.assert_allclose(drawn[0], [[9.0, 20.0], [8.5, 15.0]])
+    np.testing.assert_allclose(drawn[1], [[8.5, 15.0], [8.0, 10.0]])
+    bars = [part for part in axes.containers if isinstance(part, ErrorbarContainer)]
+    ends = bars[0].lines[2][1].get_segments()[0]  # Of the point at 90 %, up and down.
+    np.testing.assert_allclose(ends, [[8.5, 10.0], [8.5, 23.0]])
+    other = Table(frontier.COLUMNS, (*table.blocks, Block("another", None, ())))
+    with pytest.raises(CompareError, match=r"differ in world or scenarios \(suite; another\)"):
+        frontier.methods(other)
+
+
+def test_the_frontier_is_drawn_of_the_runs_after_its_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = [str(SHIPPED / "recorded"), str(SHIPPED / "recorded") + ":with_dos"]
+    out = ["--out", str(tmp_path)]
+    assert main(["figures", "frontier", *runs, *out]) == OK
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["frontier.pdf", "frontier.png"]
+    assert "frontier.png and frontier.pdf" in capsys.readouterr().out
+    assert main(["figures", "frontier", "no/such", *out]) == BAD_INPUT
+    assert "no/such is not a run folder" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as stop:
+        main(["figures", "planning", "frontier", *out])
+    assert stop.value.code == BAD_INPUT
+    assert "frontier is of runs: name their folders after it" in capsys.readouterr().err

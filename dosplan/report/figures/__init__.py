@@ -21,3 +21,5 @@ FIGURES: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 """What each figure shows, by its name; ``trade-off`` is drawn by the module ``trade_off``."""
+FRONTIER: Final = "frontier"
+"""A figure of runs, which are named with it."""

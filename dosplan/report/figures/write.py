@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 
+from dosplan.report.figures import FRONTIER, frontier
 from dosplan.report.figures.sources import Published
 from dosplan.report.figures.style import save, styled
+from dosplan.results.table import make_table
 
 
 def write_figure(name: str, published: Published, out: Path) -> tuple[Path, Path]:
@@ -28,3 +31,22 @@ def write_figure(name: str, published: Published, out: Path) -> tuple[Path, Path
     module = import_module(f"dosplan.report.figures.{name.replace('-', '_')}")
     with styled():
         return save(module.draw(published), out, name)
+
+
+def write_frontier(specs: Sequence[str], out: Path) -> tuple[Path, Path]:
+    """Draws the frontier of runs and writes it as PNG and as PDF.
+
+    Args:
+        specs: Run folders and folders of sweeps, as ``dosplan.results.table`` takes them.
+        out: Folder of the files; it is made.
+
+    Returns:
+        The PNG and the PDF.
+
+    Raises:
+        CompareError: The runs are not of one world and the same scenarios, or none is finished.
+        FileError: A run cannot be read, or a file cannot be written.
+    """
+    table = make_table(specs, columns=frontier.COLUMNS)
+    with styled():
+        return save(frontier.draw(table), out, FRONTIER)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+import time
 from collections.abc import Sequence
 from datetime import timedelta
 from fnmatch import fnmatch
@@ -147,13 +148,19 @@ def _drive(parts: Sequence[SweepPart], options: argparse.Namespace) -> None:
     from dosplan.running.sweep import one_executor
 
     err = console(stderr=True)
+    left, driven, began = sum(part.left for part in parts), 0, time.monotonic()
     with one_executor(options.workers, options.cluster) as executor:
         for number, part in enumerate(parts, start=1):
             if not options.quiet:
                 line = f"run {number} of {len(parts)}: {part.run.name}"
+                if driven and left > driven:
+                    seconds = (left - driven) / driven * (time.monotonic() - began)
+                    line += f" ({left - driven} episodes left of the sweep, about "
+                    line += f"{timedelta(seconds=round(seconds))})"
                 err.print(line, highlight=False, soft_wrap=True, markup=False)
             with show_run(err, quiet=options.quiet) as observer:
                 run(part.config, observer, executor)
+            driven += part.left
 
 
 def _show_plan(parts: Sequence[SweepPart], options: argparse.Namespace) -> None:

@@ -134,6 +134,7 @@ def describe(config: RunConfig) -> RunManifest:
         SelectionError: Likewise.
     """
     refs = _chosen(config)
+    _check_futures(config, refs)
     folder, wanted = RunFolder(config.out), _manifest(config, refs)
     if folder.manifest.exists():
         _check_same(folder, read_manifest(folder), wanted, refs)

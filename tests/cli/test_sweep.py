@@ -68,7 +68,9 @@ def test_a_trial_goes_on_to_the_whole_sweep(file: Path, capsys: pytest.CaptureFi
         "speed=steady",
         "sweep.json",
     ]
-    assert "run 2 of 2: speed=faster" in capsys.readouterr().err
+    assert "run 2 of 2: speed=faster (2 episodes left of the sweep, about 0:" in (
+        capsys.readouterr().err
+    )
     assert _sweep(file, "--dry-run", "--json=-") == OK
     plan = json.loads(capsys.readouterr().out)
     assert [(one["name"], one["left"]) for one in plan["runs"]] == [
@@ -107,7 +109,7 @@ def test_a_changed_file_or_an_unknown_run_is_one_line(
             "with a run speed=steady, which this one leaves out",
         ),
         (("speed", "speed"), ("--runs", "x*"), "no run fits --runs x*; the first is speed=steady"),
-        (("speed", "speed"), ("--futures", "2"), "traffic replay has one future only"),
+        (("speed", "speed"), ("--futures", "2"), "and the traffic replay has 1 for"),
     ):
         other = file.with_name("other.yaml")
         other.write_text(file.read_text().replace(*changed))

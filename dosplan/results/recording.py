@@ -6,8 +6,8 @@ said, so that an episode can be scored again. Plans and predictions, which are m
 relative to the ego's start in single precision, rounded to 1/64 m and 1/64 rad, for the road users
 near the ego and for every fifth predicted step.
 
-Where the road users drove as recorded, their tracks are those of the scenario file and are not kept
-a second time.
+Where the road users drove as recorded, their tracks are those of the scenario's recorded future and
+are not kept a second time.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Recording:
         states: (K + 1, 5) driven ego states.
         inputs: (K, 2) inputs that were applied.
         traffic: Name of the traffic.
-        tracks: The road users as they were driven; None where that is as recorded.
+        tracks: The road users as they were driven; None where that is as recorded in this future.
         end: Why the simulation stopped.
         error: What went wrong, where ``end`` is a failure; None otherwise.
         cycle_steps: (C,) step at which each plan begins; that of what the ego saw is earlier by

@@ -47,7 +47,10 @@ def write_solutions(folder: RunFolder, refs: Iterable[ScenarioRef], manifest: Ru
                 recordings = {name: Recording.load(file) for name, file in driven.items()}
                 drives = {problem: _drive(recording) for problem, recording in recordings.items()}
                 met = next(iter(recordings.values()))
-                traffic = None if met.tracks is None else met.traffic
+                # A scenario file records future 0 alone.
+                traffic = None if met.tracks is None and not future else met.traffic
+                if future:
+                    traffic = f"{traffic} in future {future}"
                 date = max(_written(file) for file in driven.values())
                 place = folder.solution(problems[0].scenario, next(iter(keys.values())))
                 write_bytes(place, solution_xml(path, drives, date, traffic))

@@ -25,7 +25,7 @@ from dosplan.scoring.score import score
 from dosplan.simulation.loop import known_drive, run_episode
 from dosplan.simulation.traffic import Replay, Traffic, users_at
 from dosplan.simulation.world import World
-from dosplan.types import USER_X, Arm, Outcome, Scenario, Score
+from dosplan.types import USER_X, Arm, EpisodeKey, Outcome, Scenario, Score
 from tests.support.futures import appended, stopped
 from tests.support.plugins import PLUGINS, CoastPlanner, StillPredictor
 from tests.support.runs import configured, run_here, untimed
@@ -115,6 +115,16 @@ def test_scores_and_explanations_are_of_the_future_that_was_driven(
     assert "with car 7" in told
     assert main(["explain", str(finished.path), IDS[0], "--future", "2"]) == OK
     assert "collision" not in capsys.readouterr().out
+
+
+def test_solutions_of_other_futures_say_so(places: Path, tmp_path: Path) -> None:
+    """A solution is checked against the scenario file, which records future 0."""
+    config = configured(tmp_path / "out", places, futures=2, solutions=True, ids=(IDS[0],))
+    folder = run_here(config)
+    for future in (0, 1):
+        key = EpisodeKey(IDS[0], Arm.WITH_DOS, future)
+        text = folder.solution(IDS[0], key).read_text(encoding="utf-8")
+        assert ("driven among replay in future 1, not the recorded" in text) == (future == 1)
 
 
 def test_futures_that_are_gone_are_named(

@@ -1,4 +1,4 @@
-"""The kinds at crossings and along streets draw scenes that SUMO drives, with one past each."""
+"""Every kind draws scenes that SUMO drives, with one past each."""
 
 from __future__ import annotations
 
@@ -16,6 +16,13 @@ pytestmark = [
 ]
 
 CODES = (
+    "HardBrake",
+    "QueueBend",
+    "CutIn",
+    "Zipper",
+    "BusStop",
+    "Narrow",
+    "RoundEntry",
     "OncomingTurn",
     "NoYield",
     "LeftTurn",

@@ -8,9 +8,9 @@ from types import MappingProxyType
 
 from suitegen.futures.staging import Kind
 
-from . import crossings, leader, people
+from . import crossings, entering, following, lanes, passing, people
 
-MODULES = (leader, crossings, people)
+MODULES = (following, lanes, passing, entering, crossings, people)
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {kind.code: kind for kind in chain.from_iterable(module.KINDS for module in MODULES)}
 )

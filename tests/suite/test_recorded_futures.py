@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.scenario.futures import count_futures
+from dosplan.scenario.sources.fetch import SUITES
 from dosplan.scoring.collision import first_contacts
 from dosplan.types import EGO_VELOCITY, USER_VELOCITY, Scenario, Tracks
 
@@ -18,6 +20,7 @@ SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 SUITE = SCENARIOS / "suite"
 MAX_BYTES = 20_000_000
 """The most that both suites may weigh in the repository, pictures included."""
+DRIVEN = ("manifest.csv", "files", "futures", "sumo-files")
 COLUMNS = [
     "id",
     "file",
@@ -63,6 +66,19 @@ def test_the_manifest_names_every_file_once_with_its_checksum() -> None:
 
 def test_suites_are_small_together() -> None:
     assert sum(path.stat().st_size for path in SCENARIOS.rglob("*") if path.is_file()) < MAX_BYTES
+
+
+def test_what_is_driven_comes_with_the_package() -> None:
+    """All that a suite is driven from is in the wheel, where it is looked for."""
+    with (SCENARIOS.parent / "pyproject.toml").open("rb") as stream:
+        wheel = tomllib.load(stream)["tool"]["hatch"]["build"]["targets"]["wheel"]
+    included = wheel["force-include"]
+    assert all((SCENARIOS.parent / source).exists() for source in included)
+    for name in SUITES:
+        here = {part for part in DRIVEN if (SCENARIOS / name / part).exists()}
+        assert {"manifest.csv", "files"} <= here
+        for part in here:
+            assert included[f"scenarios/{name}/{part}"] == f"dosplan/_suites/{name}/{part}"
 
 
 def test_no_id_is_in_both_suites() -> None:

@@ -216,7 +216,7 @@ def power_line(comparison: Comparison) -> str:
         return f"Power: {pairs} are too few to show any difference of collisions."
     halved = ""
     if 2.0 * smallest <= 1.0:
-        halved = f"; a halving, where {collision.shown(2.0 * smallest)} % or more collide without"
+        halved = f", as {collision.shown(2.0 * smallest)} % halved"
     return (
         f"Power: with a probability of 80 %, {pairs} show a difference of collisions of "
         f"{collision.shown(smallest)} points or more{halved}."
@@ -307,12 +307,13 @@ def change_cells(comparison: Comparison) -> Cells:
 
 
 def comparison_note(comparison: Comparison) -> str:
-    """Says how intervals and tests of a comparison are to be read."""
-    return (
+    """Says how intervals and tests of a comparison are to be read, and what its pairs show."""
+    note = (
         "Intervals take into account that several scenarios are of one place. p of a share: exact "
         f"{test_name(comparison)} test over scenarios, and sign-flip test over places; of a mean: "
         "t test over places."
     )
+    return f"{note}\n{power_line(comparison)}"
 
 
 def comparison_text(comparison: Comparison) -> str:

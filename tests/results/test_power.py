@@ -112,8 +112,8 @@ def test_a_comparison_says_what_its_pairs_would_show() -> None:
     assert found.detectable is not None
     assert power_line(found) == (
         "Power: with a probability of 80 %, 100 pairs of 50 scenarios show a difference of "
-        f"collisions of {100 * found.detectable:.1f} points or more; a halving, where "
-        f"{200 * found.detectable:.1f} % or more collide without."
+        f"collisions of {100 * found.detectable:.1f} points or more, as "
+        f"{200 * found.detectable:.1f} % halved."
     )
     few = compare_rows(a[:4], b[:4])
     assert power_line(few) == (

@@ -104,10 +104,17 @@ class _Scene:
 
 
 class _Spare(NamedTuple):
-    """What is driven where no solution is usable, and its name in the report."""
+    """What is driven where no solution is of use.
+
+    Attributes:
+        name: Its name in the report.
+        guess: What is driven.
+        cost: Its cost by the rating of candidates; infinite where it was not rated.
+    """
 
     name: str
     guess: Guess
+    cost: float = np.inf
 
 
 class _Attempt(NamedTuple):
@@ -115,6 +122,7 @@ class _Attempt(NamedTuple):
 
     Attributes:
         solution: What the solver found.
+        plan: The same as a guess.
         sets: The sets that were its constraints.
         astray: How far it leaves the road where the edges beside its guess tell nothing of that, m.
         cost: Its cost with the price of that. An iterate that is accepted may have slacks below
@@ -122,9 +130,15 @@ class _Attempt(NamedTuple):
     """
 
     solution: Solution
+    plan: Guess
     sets: ChosenSets
     astray: float
     cost: float
+
+    @property
+    def keeps_road(self) -> bool:
+        """Whether it is usable, and on the road where its edges tell nothing of that."""
+        return self.solution.usable and self.astray <= _ASTRAY
 
     @property
     def road_slack(self) -> float:
@@ -204,20 +218,19 @@ class MpcEpisode:
         scene = self._look(observation, occupancy)
         attempts, spare = self._attempts(observation.step, scene)
         best = min(attempts, key=lambda a: (not a.solution.usable, a.cost), default=None)
+        solved = best if best is not None and self._is_driven(best, spare, scene) else None
         lost = self._reach.unreachable(observation.step, observation.ego, scene.ego.position)
         report = replace(_report(attempts, best, scene.decision), unreachable=lost)
-        goes_on = best is not None and best.solution.usable
-        if best is not None and goes_on:
-            guess = self._as_guess(best.solution)
-        else:
-            guess, report = spare.guess, replace(report, fallback=spare.name)
+        guess = spare.guess if solved is None else solved.plan
+        if solved is None:
+            report = replace(report, fallback=spare.name)
         arrival = self._arrival(observation, scene, guess)
         if arrival is not None:
-            goes_on, guess = True, arrival
+            guess = arrival
             fallen = report.fallback and _ARRIVAL
             # What the plan before it entered is not entered.
             report = replace(report, slack=0.0, road_slack=0.0, active_ids=(), fallback=fallen)
-        if goes_on:
+        if solved is not None or arrival is not None:
             self._last = self._remember(observation.step, guess, report.slack, scene)
         elif spare.name != _LAST_PLAN:
             self._last = None
@@ -225,6 +238,16 @@ class MpcEpisode:
             said = f"{report.fallback or 'solved'} at the deadline"
             report = replace(report, fallback=said)
         return _plan(observation, guess, report)
+
+    def _is_driven(self, best: _Attempt, spare: _Spare, scene: _Scene) -> bool:
+        """Whether the best solution is driven, and not what is there in its place.
+
+        A plan that is off the road unseen solves another problem than that of the scene. It has to
+        be worth more than the other by the same rating.
+        """
+        if best.keeps_road or not best.solution.usable:
+            return best.keeps_road
+        return self._cost_of(best.plan, scene) <= spare.cost
 
     def _arrival(self, observation: Observation, scene: _Scene, guess: Guess) -> Guess | None:
         """A drive into a goal that is driven in place of a plan, if there is one."""
@@ -313,7 +336,7 @@ class MpcEpisode:
         new = last is not None and last.kind != scene.decision.kind
         due = last is None or new or last.cycles % self._config.resample_every == 0
         pressed = last is not None and last.slack > settings.slack_seen
-        done = not due and not pressed and _any_usable(attempts)
+        done = not due and not pressed and _any_keeps_road(attempts)
         if warm is not None and (done or not self._effort.in_time()):
             return attempts, _Spare(_LAST_PLAN, warm)
         sampled = self._sampler.sample(scene.start, scene.ego, scene.profile)
@@ -324,11 +347,11 @@ class MpcEpisode:
         bar = np.inf if warm is None else self._cost_of(warm, scene)
         kept = 0.0 if new else max(settings.worth_it, settings.better * bar)
         better = cost < bar - kept
-        if (better or not _any_usable(attempts)) and self._effort.allows_solve():
+        if (better or not _any_keeps_road(attempts)) and self._effort.allows_solve():
             attempts += self._solve_on_road(scene, candidate)
         if warm is not None and bar < cost:
-            return attempts, _Spare(_LAST_PLAN, warm)
-        return attempts, _Spare(_SAMPLED, candidate)
+            return attempts, _Spare(_LAST_PLAN, warm, bar)
+        return attempts, _Spare(_SAMPLED, candidate, cost)
 
     def _best_of(self, scene: _Scene, candidates: Candidates) -> tuple[Guess, float]:
         """The best of some candidates and its cost."""
@@ -398,7 +421,7 @@ class MpcEpisode:
             return [attempt]
         if not self._effort.allows_solve():
             return [attempt]
-        again = self._as_guess(attempt.solution)
+        again = attempt.plan
         if attempt.astray > _FAR_ASTRAY:
             again, _ = self._best_of(
                 scene,
@@ -449,7 +472,8 @@ class MpcEpisode:
         unseen = np.maximum(outside - np.maximum(road_slack, 0.0), 0.0)
         more = self._config.road_penalty * (unseen - np.minimum(road_slack, 0.0))
         more -= sets.price(np.minimum(solution.set_slack, 0.0))
-        return _Attempt(solution, sets, float(unseen.max()), solution.cost + float(spans @ more))
+        cost = solution.cost + float(spans @ more)
+        return _Attempt(solution, plan, sets, float(unseen.max()), cost)
 
     def _reference(self, s: FloatArray, profile: SpeedProfile) -> Reference:
         """What the stages refer to, beside the arc lengths of a guess."""
@@ -464,8 +488,8 @@ class MpcEpisode:
         )
 
 
-def _any_usable(attempts: list[_Attempt]) -> bool:
-    return any(attempt.solution.usable for attempt in attempts)
+def _any_keeps_road(attempts: list[_Attempt]) -> bool:
+    return any(attempt.keeps_road for attempt in attempts)
 
 
 def _report(attempts: list[_Attempt], best: _Attempt | None, decision: Decision) -> SolveReport:

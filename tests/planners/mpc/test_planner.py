@@ -17,6 +17,7 @@ from dosplan_mpc.nlp import Guess, MpcProblem, Solution
 from dosplan_mpc.planner import MpcPlanner
 from dosplan_simple.predictors import ConstantVelocityPredictor
 from dosplan_simple.sets import ErrorCirclePredictor
+from shapely import contains_xy
 from shapely.geometry import box
 
 from dosplan.api import PredictorSettings
@@ -323,6 +324,43 @@ def test_fallback_is_declared_and_drives_on() -> None:
             state = VEHICLE.step(state, u, 0.1)
             np.testing.assert_allclose(state, plan.states[k + 1], atol=1e-9)
     assert score(scenario, episode).outcome is Outcome.SUCCESS
+
+
+def test_a_solution_off_the_road_is_not_driven_where_a_sample_keeps_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Edges beside a guess that is astray tell the solver nothing of the road where it goes."""
+    solve = MpcProblem.solve
+
+    def go_straight_on(self: MpcProblem, start: FloatArray, *rest: Any) -> Solution:
+        found = solve(self, start, *rest)
+        states = np.tile(start, (len(found.states), 1))
+        states[:, 0] += 0.1 * start[3] * np.arange(len(states))
+        nothing = np.zeros_like
+        return replace(
+            found,
+            states=states,
+            inputs=nothing(found.inputs),
+            set_slack=nothing(found.set_slack),
+            road_slack=nothing(found.road_slack),
+            cost=0.0,
+            status=SolveStatus.SOLVED,
+        )
+
+    path = scenes.write_scenario_xml(
+        tmp_path / "bend.xml",
+        scenes.curve(radius=15.0, angle=np.pi / 2, approach=40.0),
+        problems=[scenes.Problem(start=(30.0, 0.0, 0.0, 6.0), goals=(scenes.Goal(60, 60),))],
+    )
+    scenario = load_scenario(path)
+    planner = MpcPlanner()
+    planner.reset(scenario.task, scenario.road_map, scenario.task.vehicle)
+    monkeypatch.setattr(MpcProblem, "solve", go_straight_on)
+    seen = World(scenario).observation()
+    plan = planner.plan(seen, ConstantVelocityPredictor().predict(seen))
+    assert plan.report.status is SolveStatus.SOLVED
+    assert plan.report.fallback == "sampled"
+    assert contains_xy(scenario.road_map.drivable, plan.states[:, 0], plan.states[:, 1]).all()
 
 
 def test_short_sets_are_a_named_failure() -> None:

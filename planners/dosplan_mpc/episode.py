@@ -29,6 +29,7 @@ from dosplan_mpc.components import Components
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.decision import Decision, Decisions, Kind
 from dosplan_mpc.effort import Effort
+from dosplan_mpc.fork import other_branches
 from dosplan_mpc.goal_window import GoalWindow, locate_goal
 from dosplan_mpc.lane_change import GapDecision
 from dosplan_mpc.limits import half_width
@@ -191,7 +192,8 @@ class MpcEpisode:
             GapDecision(config.gap, self._path, task.route, road_map, windows, vehicle, task.dt),
             0.5 * vehicle.length,
         )
-        self._road = Road(road_map, self._path, vehicle, self._half_width)
+        closed = other_branches(task, road_map, config.path.widest_swing, self._half_width)
+        self._road = Road(road_map, self._path, vehicle, self._half_width, closed)
         self._sampler = Sampler(config, vehicle, self._path, self._road, task.dt)
         turned = [
             goal

@@ -55,7 +55,12 @@ class Road:
     """
 
     def __init__(
-        self, road_map: RoadMap, path: EvenPath, vehicle: VehicleParameters, half_width: float
+        self,
+        road_map: RoadMap,
+        path: EvenPath,
+        vehicle: VehicleParameters,
+        half_width: float,
+        closed: shapely.Geometry,
     ) -> None:
         """Cuts the area out along the path.
 
@@ -64,6 +69,7 @@ class Road:
             path: Reference path, with the columns of ``reference``.
             vehicle: The ego.
             half_width: Distance that its axis keeps from an edge beside it, m.
+            closed: Road that is no way for the ego, m; see ``fork``.
         """
         self._path = path
         self._half_width = half_width
@@ -77,7 +83,7 @@ class Road:
         )
         west, south = path.points.min(axis=0) - 2.0 * REACH
         east, north = path.points.max(axis=0) + 2.0 * REACH
-        area = road_map.road_within(west, south, east, north)
+        area = road_map.road_within(west, south, east, north).difference(closed)
         near = shapely.LineString(path.points).buffer(2.0 * REACH)
         self.area = shapely.simplify(areas(area.intersection(near)), _SIMPLER)
         shapely.prepare(self.area)

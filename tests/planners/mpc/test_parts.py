@@ -33,7 +33,7 @@ from dosplan_mpc.stage import StageParameters, stage_size, unpack_stage
 from dosplan_mpc.traffic import Lane, Traffic
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely.geometry import box
+from shapely.geometry import Polygon, box
 
 from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath, rectangle_corners
 from dosplan.scenario.synthetic import steady_tracks, straight_route, straight_scenario
@@ -87,7 +87,7 @@ def road_along(path: EvenPath) -> Road:
     """A road of 5 m to both sides of the path along +x."""
     low, high = path.points.min(axis=0) - 5.0, path.points.max(axis=0) + 5.0
     half = VEHICLE.width / 2.0 + CONFIG.road_margin
-    return Road(RoadMap((), box(*low, *high)), path, VEHICLE, half)
+    return Road(RoadMap((), box(*low, *high)), path, VEHICLE, half, Polygon())
 
 
 def free_profile(path: EvenPath) -> SpeedProfile:

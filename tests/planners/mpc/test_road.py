@@ -48,7 +48,7 @@ def path_of(route: Route) -> LanePath:
 
 def road_of(area: shapely.Geometry, path: LanePath | None = None) -> Road:
     path = path_of(straight_route()) if path is None else path
-    return Road(RoadMap((), area), path, EGO, EGO.width / 2.0)
+    return Road(RoadMap((), area), path, EGO, EGO.width / 2.0, shapely.Polygon())
 
 
 def state_at(x: float, y: float, heading: float) -> FloatArray:

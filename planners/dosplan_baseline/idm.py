@@ -224,12 +224,13 @@ class IdmEpisode:
         self._start_velocity = float(task.start[EGO_VELOCITY])
         self._goals = [(goal, _extent(goal, path, settings.goal_margin)) for goal in task.goals]
 
-    def plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+    def plan(self, observation: Observation, occupancy: Occupancy, steps: int) -> Plan:
         """Rolls the model out behind leaders that keep their speed.
 
         Args:
             observation: What is known now.
             occupancy: What the leaders are found in.
+            steps: How far; a longer plan begins like a shorter one.
 
         Returns:
             The plan.
@@ -257,7 +258,7 @@ class IdmEpisode:
                 velocity, max(allowed, settings.least_velocity), gap, leaders.velocity, settings
             )
 
-        plan = self._follower.roll_out(observation.ego, acceleration)
+        plan = self._follower.roll_out(observation.ego, acceleration, steps)
         if wait is None:
             return plan
         return replace(plan, report=SolveReport(waits_for=wait.reason))
@@ -297,7 +298,7 @@ class IdmPlanner(Planner):
 
     name = "idm-v2"
     settings = IdmSettings
-    plan_steps = PLAN_STEPS
+    plan_steps: int = PLAN_STEPS
 
     def __init__(self, *, seed: int = 0, settings: IdmSettings = IdmSettings()) -> None:
         """Keeps the settings.
@@ -329,7 +330,7 @@ class IdmPlanner(Planner):
         """
         if self._episode is None:
             raise RuntimeError("no episode has begun: reset comes before plan")
-        return self._episode.plan(observation, occupancy)
+        return self._episode.plan(observation, occupancy, self.plan_steps)
 
 
 def _extent(goal: GoalState, path: ReferencePath, most: float) -> tuple[float, float]:

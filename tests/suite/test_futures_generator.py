@@ -23,7 +23,7 @@ from dosplan.types import FloatArray, Outcome
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 SUMO_VERSION = "1.28.0"
-COUNT = 2
+SOME = ("--seed", "7", "--count", "2", "--kinds", "VanWalker,OncomingTurn")
 
 
 def _has_sumo() -> bool:
@@ -62,7 +62,7 @@ def _contents(folder: Path) -> dict[str, bytes]:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A few scenarios of a seed that the shipped ones are not of."""
     out = tmp_path_factory.mktemp("made") / "out"
-    _build(out, "0", "--seed", "7", "--count", str(COUNT))
+    _build(out, "0", *SOME)
     return out
 
 
@@ -73,7 +73,7 @@ def _rows(made: Path) -> list[dict[str, str]]:
 
 def test_same_bytes_elsewhere_in_two_processes_and_resumed(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "elsewhere"
-    _build(out, "4711", "--seed", "7", "--count", str(COUNT), "--jobs", "2", "--resume")
+    _build(out, "4711", *SOME, "--jobs", "2", "--resume")
     assert _contents(out) == _contents(made)
 
 

@@ -6,14 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dosplan_baseline.idm import IdmPlanner
+from dosplan_simple.predictors import ConstantVelocityPredictor
 from shapely.geometry import box
 from suitegen.futures.search import CLEARANCE, find_drive, scored, solved
 from suitegen.futures.verdict import (
     AT_ONCE,
+    LATE,
     UNDEFEATED,
     UNSOLVED,
     Accepted,
     Rejected,
+    ShortIdmPlanner,
     baseline_rows,
     defeats,
     in_future,
@@ -23,7 +27,17 @@ from suitegen.futures.verdict import (
 from dosplan.scenario import load_scenario
 from dosplan.scenario.synthetic import LANE_WIDTH
 from dosplan.scoring.collision import first_contacts
-from dosplan.types import CollisionClass, FloatArray, GoalState, LightColour, Scenario, StopCause
+from dosplan.simulation.loop import run_episode
+from dosplan.simulation.settings import IDEAL, LoopSettings
+from dosplan.types import (
+    Arm,
+    CollisionClass,
+    FloatArray,
+    GoalState,
+    LightColour,
+    Scenario,
+    StopCause,
+)
 from tests.support.factories import ruled_scenario, stop_at
 from tests.support.futures import goal_at, leader_brakes, steps_out, stopped
 from tests.support.suite import SUITE, Row, each
@@ -191,3 +205,13 @@ def test_to_be_struck_from_behind_is_no_defeat() -> None:
     row = baseline_rows(steps_out(20.0))["idm"][1]
     assert defeats(row)
     assert not defeats(replace(row, collision_class=CollisionClass.ACTIVE_REAR))
+
+
+@pytest.mark.parametrize("loop", [IDEAL, LATE])
+def test_plans_that_end_sooner_drive_the_same(loop: LoopSettings) -> None:
+    future, predictor = in_future(leader_brakes(30.0), 1), ConstantVelocityPredictor()
+    long, short = (
+        run_episode(future, planner, predictor, Arm.WITHOUT_DOS, loop).states
+        for planner in (IdmPlanner(), ShortIdmPlanner())
+    )
+    np.testing.assert_array_equal(long, short)

@@ -18,7 +18,7 @@ from dosplan.scenario.commonroad.drafts import (
     UserDraft,
 )
 from dosplan.scenario.commonroad.writer import scenario_xml
-from dosplan.scenario.futures import write_futures
+from dosplan.scenario.futures import with_futures, write_futures
 from dosplan.types import RoadUserKind, Scenario, Tracks
 from suitegen.commonroad_xml import OBSTACLE_TYPES, with_lights_from
 from suitegen.futures.scene import Scene
@@ -77,7 +77,7 @@ def write_scene(
     target = folder / "futures" / f"{header.benchmark_id}.npz"
     target.parent.mkdir(exist_ok=True)
     write_futures(target, scenario, futures)
-    return load_scenario(path)
+    return with_futures(scenario, target)
 
 
 def _user(scene: Scene, name: str, id: int) -> UserDraft | None:

@@ -63,6 +63,12 @@ class Accepted:
     drives: tuple[FloatArray, ...]
 
 
+class ShortIdmPlanner(IdmPlanner):
+    """``idm``, whose plans end after what the loops here drive of them: the same drives, sooner."""
+
+    plan_steps = 6
+
+
 def in_future(scenario: Scenario, future: int) -> Scenario:
     """The scenario with one of its futures as the only recording.
 
@@ -88,9 +94,11 @@ def baseline_rows(scenario: Scenario) -> dict[str, list[Score]]:
     """
     futures = [in_future(scenario, k) for k in range(1 + len(scenario.futures))]
     predictor = ConstantVelocityPredictor()
-    rows = {"idm": [_driven(future, IdmPlanner(), predictor) for future in futures]}
+    rows = {"idm": [_driven(future, ShortIdmPlanner(), predictor) for future in futures]}
     if not any(map(defeats, rows["idm"])):
-        rows["idm late"] = [_driven(future, IdmPlanner(), predictor, LATE) for future in futures]
+        rows["idm late"] = [
+            _driven(future, ShortIdmPlanner(), predictor, LATE) for future in futures
+        ]
     if any(map(defeats, [*rows["idm"], *rows.get("idm late", ())])):
         rows["cruise"] = [_driven(future, CruisePlanner(), predictor) for future in futures]
     return rows

@@ -9,13 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any
+from typing import Any, Final
 
 from dosplan.results.folder import RunFolder
 from dosplan.system.files import FileError, read_json, write_json
 from dosplan.system.provenance import Machine
 from dosplan.system.typed import plain, typed
 from dosplan.types import Arm, EpisodeKey, Score
+
+SCENARIO_FILES: Final = "scenario files"
+"""Key of the digest of the scenario files, in the order of the scenarios."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ all rows are over the same episodes, so each is compared with the baseline episo
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 from dosplan.results.comparison import CompareError, Side, compare_rows, named_arm
 from dosplan.results.folder import RunFolder
 from dosplan.results.intervals import metric_interval
-from dosplan.results.manifest import RunManifest
+from dosplan.results.manifest import SCENARIO_FILES, RunManifest
 from dosplan.results.paired import Difference
 from dosplan.results.rows import read_run
 from dosplan.results.summary import read_summary
@@ -161,11 +161,13 @@ class Block:
         title: Scenarios and world.
         baseline: What the rows are compared with, ``RUN:arm``; None where nothing is.
         rows: The rows.
+        warnings: What speaks against comparing them, each a line.
     """
 
     title: str
     baseline: str | None
     rows: tuple[Row, ...]
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -315,7 +317,28 @@ def _block(entries: Sequence[Entry], chosen: Entry | None, columns: tuple[str, .
         title=f"{sources} ({scenarios} scenarios), {world}",
         baseline=None if base is None else base.spec,
         rows=tuple(_row(entry, base, columns) for entry in entries),
+        warnings=tuple(_warnings(entries)),
     )
+
+
+def _warnings(entries: Sequence[Entry]) -> Iterator[str]:
+    """Tells of runs whose scenarios have the same ids and other files, or another dosplan."""
+    by_traffic: dict[str, Entry] = {}
+    for entry in entries:
+        run = entry.manifest
+        first = by_traffic.setdefault(run.traffic, entry)
+        files, others = (one.manifest.digests.get(SCENARIO_FILES) for one in (entry, first))
+        if files is not None and others is not None and files != others:
+            yield (
+                f"{entry.name} and {first.name}: the scenarios have the same ids, and their files "
+                "differ or are in another order."
+            )
+            return
+    versions = {entry.manifest.versions.get("dosplan"): entry for entry in entries}
+    versions.pop(None, None)
+    if len(versions) > 1:
+        told = ", ".join(f"{version} ({entry.name})" for version, entry in versions.items())
+        yield f"Scored by several versions of dosplan: {told}; see `dosplan score`."
 
 
 def _row(entry: Entry, base: Entry | None, columns: tuple[str, ...]) -> Row:

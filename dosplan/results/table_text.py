@@ -55,8 +55,9 @@ def latex_table(table: Table) -> str:
     """
     parts = []
     for block in table.blocks:
+        texts = 1 + len(_named(block))
         for headings, rows in block_cells(table, block):
-            columns = "l" * 2 + "r" * (len(headings) - 2)
+            columns = "l" * texts + "r" * (len(headings) - texts)
             lines = [" & ".join(map(_latex, cells)) + r" \\" for cells in (headings, *rows)]
             parts.append(
                 "\n".join(
@@ -134,20 +135,16 @@ def block_cells(table: Table, block: Block) -> list[Cells]:
     Returns:
         The figures of each row; and, where there is a baseline, the differences from it.
     """
-    mixed = len({(row.traffic, row.loop, row.futures) for row in block.rows}) > 1
-    seeds = len({row.seed for row in block.rows}) > 1
-    names = ["Run", "Arm", *(["World"] if mixed else []), *(["Seed"] if seeds else [])]
-
-    def named(row: Row) -> list[str]:
-        world = f"{row.traffic}, {row.loop}, {row.futures} futures"
-        more = [*([world] if mixed else []), *([str(row.seed)] if seeds else [])]
-        return [row.run + ("" if row.ranked else " *"), ARM_TITLES[row.arm], *more]
-
-    shown = table.metrics
+    named, shown = _named(block), table.metrics
     figures = (
-        [*names, "n", *(metric.heading for metric in shown)],
+        ["Run", *named, "n", *(metric.heading for metric in shown)],
         [
-            [*named(row), str(row.n), *(_figure(m, row.figures[m.name]) for m in shown)]
+            [
+                _run(row),
+                *(name(row) for name in named.values()),
+                str(row.n),
+                *(_figure(m, row.figures[m.name]) for m in shown),
+            ]
             for row in block.rows
         ],
     )
@@ -155,13 +152,41 @@ def block_cells(table: Table, block: Block) -> list[Cells]:
     if not compared:
         return [figures]
     differences = (
-        [f"Minus {block.baseline}", *names[1:], *(metric.heading for metric in shown)],
+        [f"Minus {block.baseline}", *named, *(metric.heading for metric in shown)],
         [
-            [*named(row), *(_difference(m, row.differences.get(m.name)) for m in shown)]
+            [
+                _run(row),
+                *(name(row) for name in named.values()),
+                *(_difference(m, row.differences.get(m.name)) for m in shown),
+            ]
             for row in compared
         ],
     )
     return [figures, differences]
+
+
+def _run(row: Row) -> str:
+    return row.run if row.ranked else f"{row.run} *"
+
+
+def _world(row: Row) -> str:
+    several = f", {row.futures} futures" if row.futures > 1 else ""
+    return f"{row.traffic}, {row.loop}{several}"
+
+
+def _named(block: Block) -> dict[str, Callable[[Row], str]]:
+    """What names a row beside its run, by heading: the arm, and wherein the rows differ."""
+    differing: dict[str, Callable[[Row], str]] = {
+        "World": _world,
+        "Seed": lambda row: str(row.seed),
+    }
+    if not all(row.values for row in block.rows):  # The names of a sweep's runs say it.
+        differing |= {"Planner": lambda row: row.planner, "Predictor": lambda row: row.predictor}
+    return {"Arm": lambda row: ARM_TITLES[row.arm]} | {
+        heading: name
+        for heading, name in differing.items()
+        if len({name(row) for row in block.rows}) > 1
+    }
 
 
 def notes(table: Table) -> list[str]:
@@ -189,6 +214,7 @@ def notes(table: Table) -> list[str]:
         lines.append(
             "*: not ranked, as the predictor may see the future or the run cannot be repeated."
         )
+    lines += [warning for block in table.blocks for warning in block.warnings]
     if table.missing:
         more = f" and {len(table.missing) - 3} more" if len(table.missing) > 3 else ""
         lines.append(f"Not finished, so not here: {', '.join(table.missing[:3])}{more}.")

@@ -33,7 +33,12 @@ from dosplan.plugins.registry import (
     source_files,
 )
 from dosplan.results.folder import RunFolder
-from dosplan.results.manifest import RunManifest, read_manifest, write_manifest
+from dosplan.results.manifest import (
+    SCENARIO_FILES,
+    RunManifest,
+    read_manifest,
+    write_manifest,
+)
 from dosplan.results.markdown import summary_markdown
 from dosplan.results.rows import append_row, read_rows, write_rows
 from dosplan.results.solutions import write_solutions
@@ -57,8 +62,6 @@ from dosplan.types import Outcome, Score
 
 __all__ = ["RunConfig", "RunError", "describe", "run"]
 
-SCENARIO_FILES: Final = "scenario files"
-"""Key of the digest of the scenario files, in the order of the scenarios."""
 _CONTENT: Final = "content of its plug-in, weight or scenario files"
 _PARTS: Final = ("episodes", "solutions")
 

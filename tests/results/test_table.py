@@ -118,7 +118,7 @@ def test_worlds_and_scenarios_never_share_a_block_unless_asked(tmp_path: Path) -
     assert mixed.blocks[0].title.endswith("4 worlds")
     text = markdown_table(mixed)
     assert "| Run | Arm | World | n |" in text
-    assert "| reactive-v2 (courtesy=1), ideal, 1 futures |" in text
+    assert "| reactive-v2 (courtesy=1), ideal |" in text
 
 
 def test_what_drives_otherwise_has_no_baseline_in_another_world(tmp_path: Path) -> None:
@@ -190,3 +190,26 @@ def test_a_table_and_a_comparison_print_from_python(tmp_path: Path) -> None:
     assert "Scenario whose outcome differs" in shown
     success = next(line for line in shown.splitlines() if line.startswith("Success %"))
     assert success.split()[2:6] == ["3", "100.0", "33.3", "-66.7"]
+
+
+def test_other_files_or_versions_of_the_same_scenarios_are_told(tmp_path: Path) -> None:
+    same = [HIT, MISS]
+    a = _run(tmp_path / "a", same, digests={"scenario files": "1"}, versions={"dosplan": "0.4.0"})
+    b = _run(tmp_path / "b", same, digests={"scenario files": "2"}, versions={"dosplan": "0.4.0"})
+    c = _run(tmp_path / "c", same, digests={"scenario files": "1"}, versions={"dosplan": "0.5.0"})
+    assert make_table([str(a)]).blocks[0].warnings == ()
+    (files,) = make_table([str(a), str(b)]).blocks[0].warnings
+    assert files.startswith(f"{b} and {a}: the scenarios have the same ids, and their files differ")
+    table = make_table([str(a), str(c)])
+    (versions,) = table.blocks[0].warnings
+    assert versions.startswith(f"Scored by several versions of dosplan: 0.4.0 ({a}), 0.5.0 ({c})")
+    assert versions in notes(table)
+
+
+def test_planner_and_predictor_are_named_where_runs_of_no_sweep_differ(tmp_path: Path) -> None:
+    a = _run(tmp_path / "a", [HIT, MISS])
+    b = _run(tmp_path / "b", [HIT, MISS], planner="other-v1")
+    text = markdown_table(make_table([str(a), str(b)]))
+    assert "| Run | Arm | Planner | n |" in text
+    assert f"| {b} | with DOS | other-v1 | 2 |" in text
+    assert r"\begin{tabular}{lllr" in latex_table(make_table([str(a), str(b)]))

@@ -28,7 +28,6 @@ CODES = (
     "LeftTurn",
     "AmberTurn",
     "RedRun",
-    "LateWalker",
     "VanWalker",
     "Jaywalker",
     "Door",

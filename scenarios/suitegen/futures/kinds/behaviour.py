@@ -62,7 +62,9 @@ RUNNING: Final = (2.6, 3.6)
 """Bounds of the running speed, m/s."""
 SETTING_OFF: Final = 2.0
 """Acceleration of somebody on foot, m/s2."""
-CYCLING: Final = (4.5, 6.5)
+DASHING: Final = 3.0
+"""Acceleration of somebody who breaks into a run, m/s2."""
+CYCLING: Final = (4.0, 5.5)
 """Bounds of the speed of cyclists, m/s."""
 STOPPING_AT_AMBER: Final = (2.5, 4.2)
 """Bounds of the deceleration of who stops for a light, m/s2."""
@@ -116,3 +118,8 @@ def slow(at: float, speed: float, to: float, hard: float = 6.0) -> Script:
     """The stand-in brakes from one speed to another, m/s, with ``hard`` m/s2."""
     over = (speed - to) / hard
     return Action(at, EGO, Verb.BRAKE, to, over=over), Action(at + over, EGO, Verb.FREE)
+
+
+def stopping(speed: float, seconds: float) -> float:
+    """Deceleration, m/s2, with which the stand-in stops 4 m short of where it would be in time."""
+    return min(7.8, max(3.0, speed**2 / (2.0 * (speed * seconds - 4.0))))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from dosplan_sumo.script import Action, Script, Verb
 
-from suitegen.futures.staging import EGO, PEDESTRIAN, Act, Actor, Kind, Spot, Staging
+from suitegen.futures.staging import EGO, Act, Actor, Kind, Spot, Staging
 from suitegen.plain import Crossing, Network, Node, Point
 from suitegen.roads import KMH, Arm, Flow, Rng, Road, star, urban_lanes
 
@@ -16,7 +16,6 @@ from .behaviour import (
     FIRST,
     LIGHT_MIX,
     RED_RUNNING,
-    RUNNING,
     START,
     STOPPING_AT_AMBER,
     TURNING,
@@ -25,14 +24,11 @@ from .behaviour import (
     between,
     chosen,
     halt,
-    setting_off,
-    step_out,
-    walking_speed,
 )
 
-GAIN = 2.6
+GAIN = 3.0
 """Acceleration of who does not yield, m/s2."""
-TIGHT = (4.0, 6.0)
+TIGHT = (3.0, 4.5)
 """Radii of kerbs, m, at crossings at which who comes from the side is soon in the way."""
 HALF_PI = 0.5 * np.pi
 MAIN_AMBER, MAIN_GREEN = 42.0, 90.0
@@ -195,20 +191,20 @@ def _oncoming_turn(rng: Rng) -> Staging:
 
 
 def _minor_road(rng: Rng) -> Staging:
-    limit = float(rng.choice([50, 60])) * KMH
+    limit = float(rng.choice([50, 60, 70])) * KMH
     right = bool(rng.random() < 0.6)
     source = "a1-" if right else "a3-"
     place = draw_place(rng, limit, radii=TIGHT)
-    speed = limit * float(rng.uniform(0.85, 1.0))
+    speed = limit * float(rng.uniform(0.92, 1.0))
     merges = right and bool(rng.random() < 0.4)
     # Seen from the ego: merges beyond the middle, crosses at the side on which it drives.
     target = "a2+" if merges else ("a3+" if right else "a1+")
     beyond = 4.0 if merges else (0.5 if right else -0.5) * place.width
-    rolling, going = float(rng.uniform(3.0, 4.2)), float(rng.uniform(5.5, 7.0))
+    rolling, going = float(rng.uniform(2.0, 3.2)), float(rng.uniform(6.5, 7.5))
     into = place.cut - (place.width if right else 0.0) + (2.0 if merges else 0.0)
-    line = BRANCH + float(rng.uniform(0.5, 0.9))
+    line = BRANCH + float(rng.uniform(0.5, 0.8))
     goes = _speeding_up(rolling * (line - BRANCH) + into, rolling, going)
-    met = BRANCH + goes + float(rng.uniform(0.0, 0.4))
+    met = BRANCH + goes + float(rng.uniform(-0.15, 0.1))
     name = "side"
     kind = str(rng.choice(["car", "car", "van"]))
     other, pace = comes(name, kind, (source, target), rolling, line * rolling, place)
@@ -218,7 +214,7 @@ def _minor_road(rng: Rng) -> Staging:
         if chosen(rng, {"yields": 0.55, "goes": 0.45}) == "yields":
             return Act("yields", (Action(0.0, name, Verb.FREE),))
         pull = _careless(name, going * float(rng.uniform(0.95, 1.1)))
-        pull = (*pull, Action(goes + 1.0, name, Verb.FREE), halt(0.3, 7.0))
+        pull = (*pull, Action(goes + 1.0, name, Verb.FREE), halt(0.0, 7.6))
         return Act("does not yield and " + ("turns in" if merges else "crosses"), pull)
 
     return Staging(
@@ -231,10 +227,10 @@ def _minor_road(rng: Rng) -> Staging:
         cast,
         at_time(WARMUP + START),
         futures,
-        Spot("a2+", float(rng.uniform(30.0, 45.0))),
+        Spot("a2+", float(rng.uniform(42.0, 55.0))),
         branch=BRANCH,
         warmup=WARMUP,
-        seconds=13.0,
+        seconds=15.0,
         prelude=(pace,),
     )
 
@@ -312,17 +308,17 @@ def _amber_turn(rng: Rng) -> Staging:
 
 
 def _red_run(rng: Rng) -> Staging:
-    place = draw_place(rng, 50 * KMH, "traffic_light", radii=TIGHT)
+    place = draw_place(rng, 60 * KMH, "traffic_light", radii=TIGHT)
     start = MAIN_GREEN + float(rng.uniform(0.2, 1.0))
     right = bool(rng.random() < 0.5)
     route = ("a1-", "a3+") if right else ("a3-", "a1+")
     # It slows down as if it were to stop, until it does or does not.
-    fast, rolling = float(rng.uniform(8.0, 10.0)), float(rng.uniform(5.0, 6.5))
+    fast, rolling = float(rng.uniform(8.0, 10.0)), float(rng.uniform(3.5, 5.0))
     line = BRANCH + rolling / (2.0 * float(rng.uniform(3.2, 4.2)))
     into = place.cut - (place.width if right else 0.0)
     goes = _speeding_up(rolling * (line - BRANCH) + into, rolling, fast)
-    met = BRANCH + goes + float(rng.uniform(0.0, 0.4))
-    speed = float(rng.uniform(10.0, 12.5))
+    met = BRANCH + goes + float(rng.uniform(-0.15, 0.1))
+    speed = float(rng.uniform(13.5, 15.8))
     name = "crossing"
     kind = str(rng.choice(["car", "car", "van"]))
     other, pace = comes(name, kind, route, fast, 0.0, place)
@@ -338,66 +334,22 @@ def _red_run(rng: Rng) -> Staging:
             brake = Action(0.0, name, Verb.BRAKE, 0.0, over=over)
             return Act("brakes and stops at the red light", (brake,))
         run = _careless(name, fast * between(rng, RED_RUNNING))
-        return Act("runs the red light", (*run, halt(0.3, 6.0)))
+        return Act("runs the red light", (*run, halt(0.0, 7.6)))
 
     return Staging(
         Road(place.network, (), (), tags=("urban", "intersection")),
         cast,
         at_time(start),
         futures,
-        Spot("a2+", float(rng.uniform(25.0, 40.0))),
+        Spot("a2+", float(rng.uniform(42.0, 55.0))),
         branch=BRANCH,
         warmup=start - START,
-        seconds=13.0,
+        seconds=15.0,
         prelude=(
             Action(FIRST, name, Verb.CARELESS),
             pace,
             Action(2.0 * FIRST, name, Verb.BRAKE, rolling, over=slowing),
         ),
-    )
-
-
-def _late_walker(rng: Rng) -> Staging:
-    place = draw_place(rng, 50 * KMH, "traffic_light", walks=True)
-    start = float(rng.uniform(12.0, 34.0))
-    right = bool(rng.random() < 0.6)
-    arm = 1 if right else 3
-    speed = float(rng.uniform(6.0, 7.5))
-    before = speed * float(rng.uniform(0.5, 1.1))
-    # The crossing lies between the stop line and the kerbs.
-    out, kerb = place.cut - 2.3, place.width + 0.6
-    # Who leaves on an arm drives to the right of it, so the near side is there.
-    near = bool(rng.random() < 0.6)
-    side = -1.0 if near else 1.0
-    pace = walking_speed(rng)
-    away = float(rng.uniform(0.0, 0.4))
-    stand = place.beside(arm, out, side * (kerb + away))
-    over = place.beside(arm, out, -side * (kerb + 2.0))
-    walker = Actor("walker", PEDESTRIAN, (f"a{arm}-",), 1.0, 0.0, lane=1, at=stand, facing=over)
-    cast = (ego(f"a{arm}+", speed, before, place), walker)
-    # Until the ego is at the crossing, and until the walker is on its way there.
-    arrives = before / speed + (11.0 if right else 19.0) / 4.6
-    enters = kerb + away - 1.13 + (-0.5 if near else 0.5) * place.width
-    sooner = float(rng.uniform(-0.3, 0.7))
-    delay = max(0.0, arrives - sooner - BRANCH - setting_off(enters, pace))
-
-    def futures(_: int, rng: Rng) -> Act:
-        wish = chosen(rng, {"waits": 0.45, "walks": 0.35, "runs": 0.2})
-        if wish == "waits":
-            return Act("waits for the ego", (step_out("walker", 8.0, pace, (over,)),))
-        value = pace if wish == "walks" else between(rng, RUNNING)
-        words = "steps out" if wish == "walks" else "runs across"
-        return Act(words, (step_out("walker", delay, value, (over,)),))
-
-    return Staging(
-        Road(place.network, (), (), tags=("urban", "intersection")),
-        cast,
-        at_time(start),
-        futures,
-        Spot(f"a{arm}+", float(rng.uniform(18.0, 28.0)), place.lane),
-        branch=BRANCH,
-        warmup=start - START,
-        seconds=14.0,
     )
 
 
@@ -408,7 +360,7 @@ KINDS = (
         _oncoming_turn,
         "The ego goes straight on with the right of way; an oncoming car has slowed down before "
         "the crossing and turns left across the ego's way, waits, or goes on.",
-        "interPlan's conflicts with turning vehicles at crossings",
+        "none",
         "the same past ends in a turn across, in waiting and in going on",
         "goes on 40 %, turns across 40 %, waits and turns behind the ego 20 % (an assumption)",
     ),
@@ -418,7 +370,7 @@ KINDS = (
         _minor_road,
         "The ego has the right of way; somebody rolls up to the line of a side road and stops "
         "there, or turns in or crosses in front of the ego.",
-        "nothing: its vehicles keep the right of way",
+        "none",
         "a driver who does not yield, from the left or the right",
         "yields 55 %, goes 45 % (an assumption)",
     ),
@@ -428,7 +380,7 @@ KINDS = (
         _left_turn,
         "The ego turns left; an oncoming car is about a critical gap away and keeps its speed, "
         "speeds up, or slows down.",
-        "unprotected left turns of nuPlan's hard split",
+        "none",
         "the gap that counts is the one after the oncoming driver has decided",
         "keeps its speed 35 %, speeds up 30 %, slows down 35 % (an assumption)",
     ),
@@ -438,7 +390,7 @@ KINDS = (
         _amber_turn,
         "The ego is in a crossing with signals, about to turn left, as the light turns amber; an "
         "oncoming car in its dilemma zone stops or runs the light.",
-        "nothing",
+        "none",
         "whether amber is run decides who goes first",
         "stops 50 %, runs the light 50 % (an assumption)",
     ),
@@ -448,18 +400,8 @@ KINDS = (
         _red_run,
         "The ego's light has just turned green; a car from the side brakes late for its red light, "
         "or does not brake.",
-        "nothing: its vehicles keep the signals",
+        "none",
         "a light that is run one to three seconds late",
         "brakes 55 %, runs the light 45 % (an assumption)",
-    ),
-    Kind(
-        "turn over a crossing with a late pedestrian",
-        "LateWalker",
-        _late_walker,
-        "The ego turns at a crossing with signals; somebody stands at the pedestrian crossing of "
-        "the road into which it turns, and waits, walks or runs.",
-        "pedestrians on crossings that the ego turns over",
-        "whether somebody who stands still steps out is not to be seen",
-        "waits 45 %, walks 35 %, runs 20 % (an assumption)",
     ),
 )

@@ -15,6 +15,7 @@ from suitegen.roads import KMH, Flow, Rng, Road, winding
 from .behaviour import (
     BRANCH,
     CYCLING,
+    DASHING,
     FIRST,
     LIGHT_MIX,
     PULLING_OUT,
@@ -29,6 +30,7 @@ from .behaviour import (
     setting_off,
     slow,
     step_out,
+    stopping,
     walking_speed,
 )
 
@@ -163,7 +165,7 @@ def _scene(
     oncoming: float,
     tags: tuple[str, ...] = (),
 ) -> Staging:
-    flows = (Flow("m-", "m-", oncoming, LIGHT_MIX),)
+    flows = (Flow("m-", "m-", oncoming, LIGHT_MIX),) if oncoming else ()
     return Staging(
         Road(street.network, flows, (), tags=("urban", "two_lane", "oncoming_traffic", *tags)),
         cast,
@@ -171,24 +173,25 @@ def _scene(
         futures,
         Spot(EDGE, goal, street.lane),
         branch=BRANCH,
-        seconds=14.0,
+        seconds=15.0,
         warmup=WARMUP,
         prelude=prelude,
     )
 
 
 def _behind_van(rng: Rng) -> Staging:
-    street = draw_street(rng, float(rng.choice([40, 50])) * KMH)
-    speed = street.limit * float(rng.uniform(0.9, 1.05))
+    street = draw_street(rng, 50 * KMH)
+    speed = street.limit * float(rng.uniform(0.88, 1.05))
     place = float(rng.uniform(120.0, 140.0))
-    away = float(rng.uniform(-0.05, 0.5))
+    away = float(rng.uniform(-0.1, 0.3))
     pace, haste = walking_speed(rng), between(rng, RUNNING)
     walked = bool(rng.random() < 0.25)
     # From where it stands to the way of the ego.
     left = 0.5 * street.width + away - HALF_EGO - PERSON
-    inside = left + float(rng.uniform(0.15, 0.5)) * SWEPT
+    inside = left + float(rng.uniform(0.0, 0.1)) * SWEPT
     delay = 0.0 if walked else float(rng.uniform(0.3, 1.2))
     met = BRANCH + delay + (inside / pace if walked else setting_off(inside, pace))
+    hard = stopping(speed, met - BRANCH)
     van = _parked(street, "van", place - float(rng.uniform(0.7, 1.2)), VAN)
     row = _row(rng, street, ((place - 9.0, place + 1.2),))
     stand = street.kerb + away
@@ -206,73 +209,50 @@ def _behind_van(rng: Rng) -> Staging:
             return Act("stops at the edge of the van", (step_out("walker", delay, pace, (edge,)),))
         if wish == "runs":
             run = step_out("walker", delay, haste, (across,))
-            return Act("runs across", (run, halt(max(0.0, delay - 0.2), 6.0)))
+            return Act("runs across", (run, halt(0.0, hard, 1.5)))
         over = 0.0 if walked else pace / SETTING_OFF
         walk = Action(delay, "walker", Verb.WALK, pace, over=over, way=(across,))
-        return Act("steps out and walks across", (walk, halt(max(0.0, delay - 0.2), 6.0)))
+        return Act("steps out and walks across", (walk, halt(0.0, hard, 1.5)))
 
     cast = (_ego(street, speed, place - met * speed), walker, van, *row)
-    return _scene(street, cast, prelude, futures, place + float(rng.uniform(25.0, 40.0)), 150.0)
+    return _scene(street, cast, prelude, futures, place + float(rng.uniform(45.0, 58.0)), 40.0)
 
 
 def _jaywalker(rng: Rng) -> Staging:
-    street = draw_street(rng, float(rng.choice([40, 50])) * KMH)
-    speed = street.limit * float(rng.uniform(0.9, 1.0))
-    place = float(rng.uniform(120.0, 140.0))
+    street = draw_street(rng, 50 * KMH)
+    speed = street.limit * float(rng.uniform(0.88, 1.0))
+    place = float(rng.uniform(140.0, 160.0))
     side = float(rng.choice([-1.0, 1.0]))
     pace, haste = walking_speed(rng), between(rng, RUNNING)
-    # Metres walked, counted from where the ego's way begins for who comes from this side.
-    first = side * HALF_EGO - 0.5 * street.width + side * PERSON
-    share = float(rng.uniform(0.2, 0.7)) * SWEPT
-    worst = str(rng.choice(["walks", "stops", "runs"]))
-    if worst == "walks":
-        gap = float(rng.uniform(1.6, 2.8))
-        met = BRANCH + (gap + share) / pace
-    elif worst == "stops":
-        gap = float(rng.uniform(0.3, 1.2))
-        met = BRANCH + (gap + SWEPT) / pace + float(rng.uniform(0.2, 0.6))
-    else:
-        gap = float(rng.uniform(3.6, 4.6))
-        met = BRANCH + (gap + share) / haste + 0.5 * (haste - pace) / SETTING_OFF
-
-    def at(metres: float) -> Point:
-        return street.at(place, first - side * metres)
-
-    come = pace * (START + BRANCH - 2.0 * FIRST)
-    walker = _person(street, place, first + side * (gap + come))
-    # The stand-in stops short of who is or may come in its way.
-    hard = min(7.8, max(3.0, speed**2 / (2.0 * (speed * (met - BRANCH) - 3.0))))
-    beyond = at(SWEPT + (4.0 if side > 0.0 else 7.0))
-    prelude = (Action(2.0 * FIRST, "walker", Verb.WALK, pace, way=(beyond,)),)
+    # Where the ego's way begins for who comes from this side, and how far before that one waits.
+    first = side * (HALF_EGO + PERSON) - 0.5 * street.width
+    gap = float(rng.uniform(0.35, 0.8))
+    until = float(rng.uniform(1.0, 1.9))
+    met = BRANCH + until + float(np.sqrt(2.0 * gap / DASHING)) + float(rng.uniform(0.0, 0.25))
+    hard = stopping(speed, met - BRANCH)
+    walker = _person(street, place, first + side * (gap + pace * (START - 0.8)))
+    here = street.at(place, first + side * gap)
+    back = street.at(place, first + side * (gap + 3.0))
+    beyond = street.at(place, first - side * (SWEPT + (4.0 if side > 0.0 else 7.0)))
+    prelude = (Action(2.0 * FIRST, "walker", Verb.WALK, pace, way=(here,)),)
 
     def futures(_: int, rng: Rng) -> Act:
-        shares = {
-            "walks": {"walks": 0.4, "short": 0.3, "back": 0.1, "runs": 0.2},
-            "stops": {"walks": 0.4, "stops": 0.3, "back": 0.3},
-            "runs": {"walks": 0.3, "short": 0.3, "runs": 0.4},
-        }[worst]
-        wish = chosen(rng, shares)
-        if wish == "walks":
-            return Act("walks on", (halt(0.0, hard),))
-        if wish == "runs":
-            over = (haste - pace) / SETTING_OFF
-            run = Action(0.0, "walker", Verb.WALK, haste, over=over, way=(beyond,))
-            return Act("runs across", (run, halt(0.0, hard)))
+        wish = chosen(rng, {"waits": 0.35, "back": 0.1, "walks": 0.25, "dashes": 0.3})
+        if wish == "waits":
+            later = step_out("walker", until + float(rng.uniform(3.5, 5.0)), pace, (beyond,))
+            return Act("waits until the ego has passed", (later,))
         if wish == "back":
-            turn = max(0.0, gap + 0.6 * SWEPT) if worst == "stops" else 0.5 * gap
-            back = Action(turn / pace, "walker", Verb.WALK, 1.3 * pace, way=(at(-6.0),))
-            return Act("turns back", (back, halt(0.0, hard)))
-        until = 0.5 * SWEPT if wish == "stops" else -0.6
-        stop = Action(0.0, "walker", Verb.WALK, pace, way=(at(until),))
-        later = (gap + until) / pace + float(rng.uniform(2.5, 3.5))
-        again = step_out("walker", later, pace, (beyond,))
-        if wish == "stops":
-            return Act("stops on the lane", (stop, again, halt(0.0, hard)))
-        return Act("stops before the lane", (stop, again))
+            return Act("goes back", (step_out("walker", until, pace, (back,)),))
+        if wish == "walks":
+            walk = step_out("walker", until, pace, (beyond,))
+            return Act("walks on before the ego", (walk, halt(0.0, hard, 1.5)))
+        over = haste / DASHING
+        dash = Action(until, "walker", Verb.WALK, haste, over=over, way=(beyond,))
+        return Act("dashes across", (dash, halt(0.0, hard, 1.5)))
 
     row = _row(rng, street, ((place - 30.0, place + 8.0),))
     cast = (_ego(street, speed, place - met * speed), walker, *row)
-    return _scene(street, cast, prelude, futures, place + float(rng.uniform(30.0, 45.0)), 100.0)
+    return _scene(street, cast, prelude, futures, place + float(rng.uniform(45.0, 58.0)), 0.0)
 
 
 def _door(rng: Rng) -> Staging:
@@ -280,7 +260,7 @@ def _door(rng: Rng) -> Staging:
     speed = street.limit * float(rng.uniform(0.85, 1.0))
     riding = between(rng, CYCLING)
     met = float(rng.uniform(2.8, 4.4))
-    swerve = max(BRANCH + 0.1, met - float(rng.uniform(0.8, 1.3)))
+    swerve = max(BRANCH + 0.1, met - float(rng.uniform(0.45, 0.8)))
     front = 110.0
     rear = front - 1.8
     ride = -street.width - 0.5 * street.cycle
@@ -303,7 +283,7 @@ def _door(rng: Rng) -> Staging:
     )
     # The door stands open where the swerve is over.
     begin = front + riding * swerve
-    door = begin + float(rng.uniform(6.0, 7.5))
+    door = begin + float(rng.uniform(5.0, 6.0))
 
     def futures(_: int, rng: Rng) -> Act:
         wish = chosen(rng, {"straight": 0.45, "swerves": 0.4, "brakes": 0.15})
@@ -328,7 +308,7 @@ def _door(rng: Rng) -> Staging:
 
     start = rear - (speed - riding) * met
     cast = (_ego(street, speed, start), cyclist, *_row(rng, street, ()))
-    goal = start + speed * met + float(rng.uniform(35.0, 50.0))
+    goal = start + speed * met + float(rng.uniform(50.0, 62.0))
     return _scene(street, cast, prelude, futures, goal, 250.0)
 
 
@@ -342,7 +322,7 @@ def _pull_out(rng: Rng) -> Staging:
     car = replace(_parked(street, "leaver", place, size), kind="car")
     stand = -street.kerb - 0.1 - 0.5 * size[1]
     turn = float(rng.uniform(8.5, 10.0))
-    met = BRANCH + delay + np.sqrt(2.0 * 0.4 * turn / gain) + float(rng.uniform(0.0, 0.3))
+    met = BRANCH + delay + np.sqrt(2.0 * 0.37 * turn / gain) + float(rng.uniform(-0.2, 0.1))
     end = LENGTH - 2.0
 
     def futures(_: int, rng: Rng) -> Act:
@@ -361,7 +341,7 @@ def _pull_out(rng: Rng) -> Staging:
 
     row = _row(rng, street, ((place - 6.0, place + 14.0),))
     cast = (_ego(street, speed, place + 1.0 - met * speed), car, *row)
-    return _scene(street, cast, (), futures, place + float(rng.uniform(25.0, 40.0)), 200.0)
+    return _scene(street, cast, (), futures, place + float(rng.uniform(45.0, 58.0)), 200.0)
 
 
 KINDS = (
@@ -372,18 +352,18 @@ KINDS = (
         "Somebody stands, or comes to stand, before a parked van and waits, looks round it, walks "
         "or runs across.",
         "waits 40 %, walks 35 %, looks 15 %, runs 10 % (an assumption)",
-        "pedestrians who cross where there is no crossing",
+        "jaywalkers",
         "who stands there hidden steps out or does not; the past is the same",
     ),
     Kind(
         "jaywalker",
         "Jaywalker",
         _jaywalker,
-        "Somebody walks across the street before the ego and walks on, stops, turns back or runs: "
-        "which of it would be hit is drawn.",
-        "walks on 30 to 40 %, the others 10 to 40 % each (an assumption)",
-        "its jaywalkers",
-        "who crosses changes its mind halfway",
+        "Somebody who crosses the street without a crossing has stopped beside the ego's lane, at "
+        "the middle of the street or at the kerb, and waits, goes back, walks on or dashes across.",
+        "waits 35 %, dashes 30 %, walks 25 %, goes back 10 % (an assumption)",
+        "jaywalkers",
+        "who stands there changes its mind as the ego is near",
     ),
     Kind(
         "cyclist before an opening door",
@@ -392,7 +372,7 @@ KINDS = (
         "The ego overtakes a cyclist on a cycle lane beside parked cars; the cyclist rides on, "
         "swerves into the ego's lane round a door, or brakes. The door itself is not recorded.",
         "rides on 45 %, swerves 40 %, brakes 15 % (an assumption)",
-        "nudging past bicycles",
+        "nudging around stopped vehicles, of which a bicycle is none",
         "a cyclist who has to leave its lane at once",
     ),
     Kind(
@@ -401,7 +381,7 @@ KINDS = (
         _pull_out,
         "A car at the kerb stays, pulls out before the ego, or noses out and lets the ego pass.",
         "stays 40 %, pulls out 40 %, noses out 20 % (an assumption)",
-        "nudging past parked vehicles",
+        "nudging around stopped vehicles",
         "a parked car that drives off",
     ),
 )

@@ -85,7 +85,8 @@ def draw_place(
             tuple(lanes),
             limit if arm % 2 == 0 else 50 * KMH,
             3 - 2 * (arm % 2),
-            length=float(rng.uniform(210.0, 230.0) if arm == 2 else rng.uniform(140.0, 170.0)),
+            # Ahead it is so long that nobody comes to its end.
+            length=(15.0 * limit if arm == 2 else 140.0) + float(rng.uniform(0.0, 30.0)),
             bend=float(rng.uniform(-0.3, 0.3)),
         )
         for arm, angle in enumerate(angles)

@@ -242,7 +242,9 @@ def _left_turn(rng: Rng) -> Staging:
     speed = float(rng.uniform(7.0, 9.0))
     before = speed * float(rng.uniform(2.2, 2.8))
     oncoming = float(rng.uniform(9.5, 12.0))
-    line = float(rng.uniform(3.3, 4.3))
+    # It comes as the ego, which slows down in its turn, is about to be in its lane.
+    crosses = before / speed + 1.2
+    line = crosses + float(rng.uniform(0.45, 1.1)) - 0.64 * place.cut / oncoming
     name = "oncoming"
     kind = str(rng.choice(["car", "car", "van", "motorcycle"]))
     other, pace = comes(name, kind, ("a2-", "a0+"), oncoming, line * oncoming, place)

@@ -72,7 +72,7 @@ class Drivers:
     bus_start: Range = (1.1, 1.6)
     bus_angle: Range = (0.42, 0.58)
     moving_off: Range = (2.6, 3.5)
-    entry_gap: Range = (1.35, 1.75)
+    entry_gap: Range = (1.5, 1.85)
     queue_start: Range = (1.2, 2.0)
 
 

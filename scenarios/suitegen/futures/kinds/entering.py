@@ -86,7 +86,7 @@ KINDS = (
         roundabout_entry,
         "The ego is in a roundabout. Who rolls up to the next entry yields, or takes a gap that is "
         "too small.",
-        "yields 50 %, enters 50 %: begins 1.1 to 2 s before the ego would come by, at 2.6 to "
+        "yields 50 %, enters 50 %: begins 1.2 to 2.1 s before the ego would come by, at 2.6 to "
         "3.5 m/s2",
         "none",
         "a right of way that is the ego's and may be taken from it",

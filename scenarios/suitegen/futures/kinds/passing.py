@@ -153,7 +153,7 @@ def narrow_street(rng: Rng) -> Staging:
         far = rear + draw(rng, (0.8, 2.0))
     swerve = draw(rng, (7.5, 9.0))
     """Way within which the oncoming car comes over, and back, m."""
-    over = width - 1.9 - draw(rng, (0.35, 0.55)) - 0.5 * size[1]
+    over = width - 1.9 - draw(rng, (0.45, 0.6)) - 0.5 * size[1]
     creeping, gain = draw(rng, (5.2, 6.4)), draw(rng, DRIVERS.moving_off)
     reveal = draw(rng, (1.6, 2.2))
     quick = draw(rng, (0.75, 0.95)) * limit
@@ -161,7 +161,7 @@ def narrow_street(rng: Rng) -> Staging:
     """Where the front of the oncoming car is as it may go on, m."""
     arrives = 10.0
     first = begins + creeping * reveal + 0.5 * (arrives + creeping) * LEAD_IN
-    reserve = draw(rng, (-0.4, 0.05))
+    reserve = draw(rng, (-0.5, 0.0))
     """From the reveal until the ego would be where it has to wait, s."""
     waits = near - 0.5 - swerve - 2.5
     at = waits - ego * (LEAD_IN + reveal + reserve)
@@ -184,18 +184,15 @@ def narrow_street(rng: Rng) -> Staging:
     ]  # fmt: skip
 
     def future(k: int, rng: Rng) -> Act:
-        intention = pick(rng, {"waits": 0.45, "goes on": 0.45, "hesitates": 0.1})
+        intention = pick(rng, {"waits": 0.5, "goes on": 0.5})
         when = reveal - BRANCH
-        slow_down = Action(0.0, "ego", Verb.BRAKE, 0.45 * ego, 0.9)
+        slow_down = Action(0.0, "ego", Verb.BRAKE, 0.4 * ego, 0.8)
         halt = Action(when, "oncoming", Verb.WALK, 0.0, creeping / 4.5, way=way(begins - 0.7))
         stands = when + draw(rng, DRIVERS.attentive_reaction)
-        stop = Action(stands, "ego", Verb.BRAKE, 0.0, 0.45 * ego / 5.5)
-        go, place, speed = when + creeping / 4.5, halts, 0.0
-        acts: tuple[Action, ...] = (halt,)
+        stop = Action(stands, "ego", Verb.BRAKE, 0.0, 0.4 * ego / 6.5)
+        acts: tuple[Action, ...]
         if intention == "waits":
-            go += 5.0
-        elif intention == "hesitates":
-            go += draw(rng, (0.0, 0.3))
+            go, place, speed, acts = when + creeping / 4.5 + 5.0, halts, 0.0, (halt,)
         else:
             go, place, speed, acts = when, begins - 0.7, creeping, ()
         over_time = (quick - speed) / gain
@@ -214,7 +211,7 @@ def narrow_street(rng: Rng) -> Staging:
         tuple(cast),
         started,
         future,
-        Spot("road+", far + 2.0),
+        Spot("road+", far + 35.0),
         seconds=15.0,
         warmup=0.0,
         prelude=(
@@ -241,8 +238,8 @@ KINDS = (
         "Narrow",
         narrow_street,
         "Parked cars fill the oncoming lane. Who comes there slows down behind them, and waits, "
-        "goes on round them through the ego's lane, or hesitates and goes.",
-        "waits 45 %, goes on 45 % (2.6 to 3.5 m/s2), hesitates 10 %",
+        "or goes on round them through the ego's lane.",
+        "waits 50 %, goes on 50 % (2.6 to 3.5 m/s2)",
         "nudging around stopped vehicles and overtaking with oncoming traffic, by the ego",
         "the other is the one who leaves its lane, and may take the right of way that is the ego's",
     ),

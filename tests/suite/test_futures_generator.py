@@ -23,7 +23,7 @@ from dosplan.types import FloatArray, Outcome
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
 SUMO_VERSION = "1.28.0"
-SOME = ("--seed", "7", "--count", "2", "--kinds", "VanWalker,OncomingTurn")
+SOME = ("--seed", "7", "--count", "2", "--kinds", "OncomingTurn,Jaywalker")
 
 
 def _has_sumo() -> bool:

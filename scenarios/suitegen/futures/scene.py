@@ -74,7 +74,8 @@ def scene_of(simulated: Simulated, goal_size: tuple[float, float], rng: Rng) -> 
         name
         for future in driven
         for name, motion in future.items()
-        if name == EGO or near(motion, future[EGO], first, simulated.last)
+        # The stand-in may leave the network once it has been in the goal.
+        if name == EGO or near(motion, future[EGO], first, min(future[EGO].last, simulated.last))
     }
     futures = tuple(
         {name: motion for name, motion in future.items() if name in kept} for future in driven

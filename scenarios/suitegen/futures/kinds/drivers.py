@@ -46,15 +46,16 @@ class Drivers:
         swerve_braking: Its deceleration meanwhile, m/s2: of drivers who avoid a collision most
             brake first, and many steer then, too (Adams, "Review of the literature on obstacle
             avoidance maneuvers", UMTRI-94-19, 1994).
-        bus_start: Acceleration with which a bus leaves its stop, m/s2 (Transit Capacity and
-            Quality of Service Manual, TCRP Report 165, 2013, ch. 6: about 1 m/s2).
+        bus_start: Acceleration with which a bus leaves its stop, m/s2, from about the 1 m/s2 of
+            the Transit Capacity and Quality of Service Manual (TCRP Report 165, 2013) upwards:
+            these drivers are in a hurry.
         bus_angle: Its lateral speed as a share of its speed: 23 to 30 degrees.
         moving_off: Acceleration of a car that wants a small gap, m/s2 (Long, "Acceleration
             characteristics of starting vehicles", Transportation Research Record 1737, 2000: up to
             about 3 m/s2 below 10 m/s).
-        entry_gap: Time gap to a circulating car that an assertive driver accepts at a roundabout,
-            s. The critical gap is 4.1 to 4.6 s in the mean (NCHRP Report 572, "Roundabouts in the
-            United States", 2007); one of a hundred takes less than half of it.
+        entry_gap: Time until a circulating car comes by at which an assertive driver still enters
+            a roundabout, s: an assumption, about a third of the critical gap of 4.2 to 5.9 s
+            (NCHRP Report 572, "Roundabouts in the United States", 2007).
         queue_start: Acceleration of a queue that dissolves, m/s2.
     """
 

@@ -275,18 +275,18 @@ def _left_turn(rng: Rng) -> Staging:
 
 def _amber_turn(rng: Rng) -> Staging:
     place = draw_place(rng, 50 * KMH, "traffic_light")
-    start = MAIN_AMBER - float(rng.uniform(1.1, 1.3))
+    start = MAIN_AMBER - float(rng.uniform(0.85, 0.95))
     speed = float(rng.uniform(6.0, 7.5))
-    before = speed * float(rng.uniform(0.9, 1.25))
+    before = speed * float(rng.uniform(0.65, 0.9))
     oncoming = float(rng.uniform(9.5, 11.5))
-    line = MAIN_AMBER - start + float(rng.uniform(2.0, 2.7))
+    line = max(before / speed + float(rng.uniform(2.0, 2.5)), MAIN_AMBER - start + 1.85)
     name = "oncoming"
     kind = str(rng.choice(["car", "car", "van"]))
     other, pace = comes(name, kind, ("a2-", "a0+"), oncoming, line * oncoming, place)
     cast = (ego("a3+", speed, before, place), other)
 
     def futures(_: int, rng: Rng) -> Act:
-        reaction = MAIN_AMBER - start - BRANCH + float(rng.uniform(0.5, 0.9))
+        reaction = MAIN_AMBER - start - BRANCH + float(rng.uniform(0.4, 0.7))
         left = oncoming * (line - BRANCH - reaction)
         if chosen(rng, {"stops": 0.5, "runs": 0.5}) == "stops":
             over = max(2.0 * (left - 0.7) / oncoming, oncoming / STOPPING_AT_AMBER[1])
@@ -294,7 +294,7 @@ def _amber_turn(rng: Rng) -> Staging:
             return Act("stops at the amber light", (brake,))
         run = _careless(name, oncoming * between(rng, RED_RUNNING), reaction)
         passes = line + place.cut / oncoming - BRANCH
-        waits = halt(0.0, 3.5, max(0.5, passes - speed / 3.5))
+        waits = halt(0.0, 6.0, max(0.5, passes - speed / 6.0))
         return Act("runs the amber light", (*run, waits))
 
     return Staging(

@@ -89,8 +89,8 @@ def test_every_future_has_the_same_past_and_its_own_intention(made: Path) -> Non
             rows = [int(np.flatnonzero(future.ids == name)[0]) for name in recorded.ids]
             past = future.states[rows, : start + 1]
             np.testing.assert_array_equal(past, recorded.states[:, : start + 1])
-            apart = np.nanmax(np.abs(future.states[rows] - recorded.states)[..., :2], axis=(0, 2))
-            parted.append(float(np.max(apart)))
+            apart = np.abs(future.states[rows] - recorded.states)[..., :2]
+            parted.append(float(np.nanmax(apart)))
         for intention, distance in zip(intentions[1:], parted, strict=True):
             assert intention == intentions[0] or distance > 1.0
 

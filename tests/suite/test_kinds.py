@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 import re
+from collections import Counter
 
 import pytest
 
 pytest.importorskip("sumo", reason="needs dosplan[suite]")
 
 from kinds import SUITE, with_table
+from suitegen.futures.build import places
 from suitegen.futures.kinds import KINDS
 
 
@@ -27,3 +30,16 @@ def test_each_kind_says_all_of_itself() -> None:
 def test_the_page_has_the_table_of_kinds() -> None:
     page = (SUITE / "README.md").read_text(encoding="utf-8")
     assert with_table(page) == page, "run: python scenarios/kinds.py"
+
+
+def test_a_suite_has_ten_of_each_of_at_least_fifteen_kinds() -> None:
+    count = Counter(place.kind for place in places("suite", 150, list(KINDS)))
+    assert len(count) >= 15
+    assert max(count.values()) == 10
+
+
+def test_no_kind_has_more_in_the_shipped_suite_than_another() -> None:
+    with (SUITE / "manifest.csv").open(newline="", encoding="utf-8") as stream:
+        count = Counter(row["kind"] for row in csv.DictReader(stream))
+    assert set(count) <= {kind.name for kind in KINDS.values()}
+    assert len(set(count.values())) == 1

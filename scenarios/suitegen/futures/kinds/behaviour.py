@@ -6,28 +6,29 @@ what                       from where
 ``WALKING``                Fitzpatrick et al., "Improving pedestrian safety at unsignalized
                            crossings", NCHRP Report 562, 2006: 1.45 m/s; the slowest 15 % walk at
                            1.15 m/s
-``RUNNING``,               Zebala, Ciepka and Reza, "Pedestrian acceleration and speeds", Problems
-``SETTING_OFF``            of Forensic Sciences 91, 2012
-``CYCLING``                Parkin and Rotheram, "Design speeds and acceleration characteristics of
-                           bicycle traffic", Transport Policy 17, 2010: 6 m/s on the flat
+``RUNNING``,               the order of magnitude is that of Zebala, Ciepka and Reza, "Pedestrian
+``SETTING_OFF``,           acceleration and speeds", Problems of Forensic Sciences 91, 2012; the
+``DASHING``                bounds are assumptions
+``CYCLING``                below the 6 m/s on the flat of Parkin and Rotheram, "Design speeds and
+                           acceleration characteristics of bicycle traffic", Transport Policy 17,
+                           2010: beside parked cars; the bounds are assumptions
 ``STOPPING_AT_AMBER``      Gates, Noyce, Laracuente and Nordheim, "Analysis of driver behavior in
                            dilemma zones at signalized intersections", Transportation Research
                            Record 2030, 2007: those who stop brake with 2.2 to 3.9 m/s2 (15 % and
                            85 %), after 1.0 s in the median
-``RED_RUNNING``            the same and Bonneson and Zimmerman, "Development of guidelines for
-                           identifying and treating locations with a red-light-running problem",
-                           2004: who runs a red light keeps the speed or accelerates
-``CRITICAL_GAP``           Highway Capacity Manual 2010, chapter 19: 4.1 s for a left turn from the
-                           main road; 6.2 to 7.1 s from the side road. Who takes a shorter one makes
-                           others brake
-``TURNING``                a lateral acceleration of 3 to 4 m/s2 at radii of 10 to 15 m
+``RED_RUNNING``            who runs a light keeps the speed or accelerates: an assumption
+``TURNING``                a lateral acceleration of 3 to 4 m/s2 at radii of 10 to 15 m: an
+                           assumption
 ``PULLING_OUT``            Bokare and Maurya, "Acceleration-deceleration behaviour of various
-                           vehicle types", Transportation Research Procedia 25, 2017
+                           vehicle types", Transportation Research Procedia 25, 2017, in order of
+                           magnitude; the bounds are assumptions
 =========================  =====================================================================
 
-How often somebody does the one or the other is an assumption throughout, and stands with each kind:
-the harmless and the dangerous are about as frequent, far more than on a road on which one would
-have to wait for weeks.
+The gaps in front of the ego are drawn so short that a driver who sees nothing coming meets who
+takes them; most are below the critical gaps of the Highway Capacity Manual 2010, 4.1 s for a left
+turn from the main road and 6.2 to 7.1 s from a side road. How often somebody does the one or the
+other is an assumption throughout, and stands with each kind: the harmless and the dangerous are
+about as frequent, far more than on a road on which one would have to wait for weeks.
 """
 
 from __future__ import annotations

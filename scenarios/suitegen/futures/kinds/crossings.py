@@ -358,53 +358,65 @@ def _red_run(rng: Rng) -> Staging:
 
 KINDS = (
     Kind(
-        "oncoming car turns left or goes on",
-        "OncomingTurn",
-        _oncoming_turn,
-        "The ego goes straight on with the right of way; an oncoming car has slowed down before "
-        "the crossing and turns left across the ego's way, waits, or goes on.",
-        "none",
-        "the same past ends in a turn across, in waiting and in going on",
-        "goes on 40 %, turns across 40 %, waits and turns behind the ego 20 % (an assumption)",
+        name="oncoming car turns left or goes on",
+        code="OncomingTurn",
+        draw=_oncoming_turn,
+        description=(
+            "The ego goes straight on with the right of way; an oncoming car has slowed down "
+            "before the crossing and turns left across the ego's way, waits, or goes on."
+        ),
+        intentions=(
+            "goes on 40 %, turns across 40 %, waits and turns behind the ego 20 % (an assumption)"
+        ),
+        interplan="none",
+        new="the same past ends in a turn across, in waiting and in going on",
     ),
     Kind(
-        "driver on a side road yields or not",
-        "NoYield",
-        _minor_road,
-        "The ego has the right of way; somebody rolls up to the line of a side road and stops "
-        "there, or turns in or crosses in front of the ego.",
-        "none",
-        "a driver who does not yield, from the left or the right",
-        "yields 55 %, goes 45 % (an assumption)",
+        name="driver on a side road yields or not",
+        code="NoYield",
+        draw=_minor_road,
+        description=(
+            "The ego has the right of way; somebody rolls up to the line of a side road and "
+            "stops there, or turns in or crosses in front of the ego."
+        ),
+        intentions="yields 55 %, goes 45 % (an assumption)",
+        interplan="none",
+        new="a driver who does not yield, from the left or the right",
     ),
     Kind(
-        "unprotected left turn",
-        "LeftTurn",
-        _left_turn,
-        "The ego turns left; an oncoming car is about a critical gap away and keeps its speed, "
-        "speeds up, or slows down.",
-        "none",
-        "the gap that counts is the one after the oncoming driver has decided",
-        "keeps its speed 35 %, speeds up 30 %, slows down 35 % (an assumption)",
+        name="unprotected left turn",
+        code="LeftTurn",
+        draw=_left_turn,
+        description=(
+            "The ego turns left; an oncoming car is about a critical gap away and keeps its "
+            "speed, speeds up, or slows down."
+        ),
+        intentions="keeps its speed 35 %, speeds up 30 %, slows down 35 % (an assumption)",
+        interplan="none",
+        new="the gap that counts is the one after the oncoming driver has decided",
     ),
     Kind(
-        "left turn at the end of green",
-        "AmberTurn",
-        _amber_turn,
-        "The ego is in a crossing with signals, about to turn left, as the light turns amber; an "
-        "oncoming car in its dilemma zone stops or runs the light.",
-        "none",
-        "whether amber is run decides who goes first",
-        "stops 50 %, runs the light 50 % (an assumption)",
+        name="left turn at the end of green",
+        code="AmberTurn",
+        draw=_amber_turn,
+        description=(
+            "The ego is in a crossing with signals, about to turn left, as the light turns "
+            "amber; an oncoming car in its dilemma zone stops or runs the light."
+        ),
+        intentions="stops 50 %, runs the light 50 % (an assumption)",
+        interplan="none",
+        new="whether amber is run decides who goes first",
     ),
     Kind(
-        "red light run or not",
-        "RedRun",
-        _red_run,
-        "The ego's light has just turned green; a car from the side brakes late for its red light, "
-        "or does not brake.",
-        "none",
-        "a light that is run one to three seconds late",
-        "brakes 55 %, runs the light 45 % (an assumption)",
+        name="red light run or not",
+        code="RedRun",
+        draw=_red_run,
+        description=(
+            "The ego's light has just turned green; a car from the side brakes late for its red "
+            "light, or does not brake."
+        ),
+        intentions="brakes 55 %, runs the light 45 % (an assumption)",
+        interplan="none",
+        new="a light that is run one to three seconds late",
     ),
 )

@@ -346,42 +346,52 @@ def _pull_out(rng: Rng) -> Staging:
 
 KINDS = (
     Kind(
-        "pedestrian behind a parked van",
-        "VanWalker",
-        _behind_van,
-        "Somebody stands, or comes to stand, before a parked van and waits, looks round it, walks "
-        "or runs across.",
-        "waits 40 %, walks 35 %, looks 15 %, runs 10 % (an assumption)",
-        "jaywalkers",
-        "who stands there hidden steps out or does not; the past is the same",
+        name="pedestrian behind a parked van",
+        code="VanWalker",
+        draw=_behind_van,
+        description=(
+            "Somebody stands, or comes to stand, before a parked van and waits, looks round it, "
+            "walks or runs across."
+        ),
+        intentions="waits 40 %, walks 35 %, looks 15 %, runs 10 % (an assumption)",
+        interplan="jaywalkers",
+        new="who stands there hidden steps out or does not; the past is the same",
     ),
     Kind(
-        "jaywalker",
-        "Jaywalker",
-        _jaywalker,
-        "Somebody who crosses the street without a crossing has stopped beside the ego's lane, at "
-        "the middle of the street or at the kerb, and waits, goes back, walks on or dashes across.",
-        "waits 35 %, dashes 30 %, walks 25 %, goes back 10 % (an assumption)",
-        "jaywalkers",
-        "who stands there changes its mind as the ego is near",
+        name="jaywalker",
+        code="Jaywalker",
+        draw=_jaywalker,
+        description=(
+            "Somebody who crosses the street without a crossing has stopped beside the ego's "
+            "lane, at the middle of the street or at the kerb, and waits, goes back, walks on "
+            "or dashes across."
+        ),
+        intentions="waits 35 %, dashes 30 %, walks 25 %, goes back 10 % (an assumption)",
+        interplan="jaywalkers",
+        new="who stands there changes its mind as the ego is near",
     ),
     Kind(
-        "cyclist before an opening door",
-        "Door",
-        _door,
-        "The ego overtakes a cyclist on a cycle lane beside parked cars; the cyclist rides on, "
-        "swerves into the ego's lane round a door, or brakes. The door itself is not recorded.",
-        "rides on 45 %, swerves 40 %, brakes 15 % (an assumption)",
-        "nudging around stopped vehicles, of which a bicycle is none",
-        "a cyclist who has to leave its lane at once",
+        name="cyclist before an opening door",
+        code="Door",
+        draw=_door,
+        description=(
+            "The ego overtakes a cyclist on a cycle lane beside parked cars; the cyclist rides "
+            "on, swerves into the ego's lane round a door, or brakes. The door itself is not "
+            "recorded."
+        ),
+        intentions="rides on 45 %, swerves 40 %, brakes 15 % (an assumption)",
+        interplan="nudging around stopped vehicles, of which a bicycle is none",
+        new="a cyclist who has to leave its lane at once",
     ),
     Kind(
-        "parked car pulls out",
-        "PullOut",
-        _pull_out,
-        "A car at the kerb stays, pulls out before the ego, or noses out and lets the ego pass.",
-        "stays 40 %, pulls out 40 %, noses out 20 % (an assumption)",
-        "nudging around stopped vehicles",
-        "a parked car that drives off",
+        name="parked car pulls out",
+        code="PullOut",
+        draw=_pull_out,
+        description=(
+            "A car at the kerb stays, pulls out before the ego, or noses out and lets the ego pass."
+        ),
+        intentions="stays 40 %, pulls out 40 %, noses out 20 % (an assumption)",
+        interplan="nudging around stopped vehicles",
+        new="a parked car that drives off",
     ),
 )

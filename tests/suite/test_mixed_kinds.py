@@ -27,7 +27,6 @@ CODES = (
     "NoYield",
     "LeftTurn",
     "AmberTurn",
-    "RedRun",
     "VanWalker",
     "Jaywalker",
     "Door",

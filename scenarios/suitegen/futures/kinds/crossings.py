@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from dosplan_sumo.script import Action, Script, Verb
@@ -31,12 +31,8 @@ GAIN = 3.0
 TIGHT = (3.0, 4.5)
 """Radii of kerbs, m, at crossings at which who comes from the side is soon in the way."""
 HALF_PI = 0.5 * np.pi
-MAIN_AMBER, MAIN_GREEN = 42.0, 90.0
-"""SUMO's times at which netconvert's program shows amber, and green again, to the main road, s.
-
-The side road has its green between, and red from ``MAIN_GREEN`` on: there is no time at which all
-lights are red, so who runs a light one or two seconds late meets who has a fresh green.
-"""
+MAIN_AMBER = 42.0
+"""SUMO's time at which netconvert's program shows amber to the main road, s."""
 
 
 @dataclass(frozen=True)
@@ -310,52 +306,6 @@ def _amber_turn(rng: Rng) -> Staging:
     )
 
 
-def _red_run(rng: Rng) -> Staging:
-    place = draw_place(rng, 60 * KMH, "traffic_light", radii=TIGHT)
-    start = MAIN_GREEN + float(rng.uniform(0.2, 1.0))
-    right = bool(rng.random() < 0.5)
-    route = ("a1-", "a3+") if right else ("a3-", "a1+")
-    # It slows down as if it were to stop, until it does or does not.
-    fast, rolling = float(rng.uniform(8.0, 10.0)), float(rng.uniform(3.5, 5.0))
-    line = BRANCH + rolling / (2.0 * float(rng.uniform(3.2, 4.2)))
-    into = place.cut - (place.width if right else 0.0)
-    goes = _speeding_up(rolling * (line - BRANCH) + into, rolling, fast)
-    met = BRANCH + goes + float(rng.uniform(-0.15, 0.1))
-    speed = float(rng.uniform(13.5, 15.8))
-    name = "crossing"
-    kind = str(rng.choice(["car", "car", "van"]))
-    other, pace = comes(name, kind, route, fast, 0.0, place)
-    slowing = START + BRANCH - 2.0 * FIRST
-    way = 0.5 * (fast + rolling) * slowing + 2.0 * FIRST * fast
-    other = replace(other, position=-(way + rolling * (line - BRANCH)))
-    beyond = (0.5 if right else -0.5) * place.width
-    cast = (ego("a2+", speed, met * speed - place.cut - beyond + 1.0, place), other)
-
-    def futures(_: int, rng: Rng) -> Act:
-        if chosen(rng, {"stops": 0.55, "runs": 0.45}) == "stops":
-            over = 2.0 * (line - BRANCH) - 0.1
-            brake = Action(0.0, name, Verb.BRAKE, 0.0, over=over)
-            return Act("brakes and stops at the red light", (brake,))
-        run = _careless(name, fast * between(rng, RED_RUNNING))
-        return Act("runs the red light", (*run, halt(0.0, 7.6)))
-
-    return Staging(
-        Road(place.network, (), (), tags=("urban", "intersection")),
-        cast,
-        at_time(start),
-        futures,
-        Spot("a2+", float(rng.uniform(42.0, 55.0))),
-        branch=BRANCH,
-        warmup=start - START,
-        seconds=15.0,
-        prelude=(
-            Action(FIRST, name, Verb.CARELESS),
-            pace,
-            Action(2.0 * FIRST, name, Verb.BRAKE, rolling, over=slowing),
-        ),
-    )
-
-
 KINDS = (
     Kind(
         name="oncoming car turns left or goes on",
@@ -406,17 +356,5 @@ KINDS = (
         intentions="stops 50 %, runs the light 50 % (an assumption)",
         interplan="none",
         new="whether amber is run decides who goes first",
-    ),
-    Kind(
-        name="red light run or not",
-        code="RedRun",
-        draw=_red_run,
-        description=(
-            "The ego's light has just turned green; a car from the side brakes late for its red "
-            "light, or does not brake."
-        ),
-        intentions="brakes 55 %, runs the light 45 % (an assumption)",
-        interplan="none",
-        new="a light that is run one to three seconds late",
     ),
 )

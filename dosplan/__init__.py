@@ -2,7 +2,7 @@
 
 What a script or a notebook needs is imported when it is asked for, so that ``import dosplan`` costs
 nothing: ``find_scenarios``, ``load_scenario``, ``run_episode``, ``run_suite``, ``open_run``,
-``compare``, ``table``, ``Arm``, ``ScenarioRef`` and ``SerialExecutor``.
+``compare``, ``table``, ``submit``, ``Arm``, ``ScenarioRef`` and ``SerialExecutor``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from dosplan._public import compare, open_run, run_episode, run_suite, table
+    from dosplan._public import compare, open_run, run_episode, run_suite, submit, table
     from dosplan.running.executor import SerialExecutor
     from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
     from dosplan.types import Arm
@@ -28,6 +28,7 @@ __all__ = [
     "open_run",
     "run_episode",
     "run_suite",
+    "submit",
     "table",
 ]
 

@@ -28,6 +28,7 @@ from dosplan.results.comparison import Comparison, compare_runs
 from dosplan.results.dataframes import to_pandas, to_polars
 from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
+from dosplan.results.leaderboard import FOLDER, About, write_submission
 from dosplan.results.manifest import RunManifest
 from dosplan.results.markdown import comparison_text
 from dosplan.results.recording import Recording
@@ -39,6 +40,7 @@ from dosplan.running.config import RunConfig, default_folder
 from dosplan.running.executor import Executor
 from dosplan.running.progress import Progress, ProgressObserver
 from dosplan.running.run import run
+from dosplan.running.submission import make_submission
 from dosplan.simulation.loop import run_episode as simulate
 from dosplan.simulation.traffic import Traffic
 from dosplan.types import Arm, EpisodeKey, Scenario, Score
@@ -283,6 +285,38 @@ def table(
         across_worlds=across_worlds,
     )
     return RunTable(found.columns, found.blocks, found.missing)
+
+
+def submit(
+    run: Results | str | Path,
+    *,
+    name: str = "",
+    authors: str = "",
+    url: str = "",
+    out: str | Path = FOLDER,
+    source: str | Path | None = None,
+) -> Path:
+    """Checks a run and writes its row of the leaderboard, as ``dosplan submit`` does.
+
+    Args:
+        run: A run or its folder, with its episode files.
+        name: What the leaderboard calls it; planner and predictor by default.
+        authors: Whose it is.
+        url: Page about it, or its code.
+        out: Folder of the rows.
+        source: Where the scenarios lie now; where the run found them by default.
+
+    Returns:
+        The file of the row.
+
+    Raises:
+        SubmissionError: The leaderboard does not take the run; ``reasons`` has a line for each
+            reason.
+        FileError: The row cannot be written.
+    """
+    about = About(name=name, authors=authors, url=url)
+    where = None if source is None else str(source)
+    return write_submission(Path(out), make_submission(Path(_folder(run)), about, where))
 
 
 def _folder(run: Results | str | Path) -> str:

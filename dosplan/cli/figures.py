@@ -59,8 +59,9 @@ class FiguresCommand:
             RegistryError: The shipped predictor cannot be built.
             ScenarioError: The embedded suite cannot be read.
         """
-        from dosplan.report.figures.sources import Published, default_results
+        from dosplan.report.figures.sources import Published
         from dosplan.report.figures.write import write_figure, write_frontier
+        from dosplan.results.published import default_results
         from dosplan.system.files import FileError
 
         if options.runs:

@@ -21,6 +21,7 @@ from dosplan.cli.evaluate import EvaluateCommand
 from dosplan.cli.listing import ListCommand
 from dosplan.cli.run import RunCommand
 from dosplan.cli.score import ScoreCommand
+from dosplan.cli.submit import LeaderboardCommand, SubmitCommand
 from dosplan.cli.sweep import SweepCommand
 from dosplan.cli.table import TableCommand
 from dosplan.system.errors import DosplanError
@@ -35,6 +36,8 @@ _BUILT_IN: Final[Mapping[str, Command]] = {
     "compare": CompareCommand(),
     "table": TableCommand(),
     "score": ScoreCommand(),
+    "submit": SubmitCommand(),
+    "leaderboard": LeaderboardCommand(),
     "evaluate": EvaluateCommand(),
     "bench": BenchCommand(),
 }

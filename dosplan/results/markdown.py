@@ -73,7 +73,7 @@ def summary_markdown(summary: Summary) -> str:
     blocks += difference_lines(summary)
     if summary.unusable:
         blocks.append(f"{unusable_title(summary.unusable, scenario_count(summary))}:")
-        blocks.append("\n".join(f"- `{x.file}`: {_escaped(x.reason)}" for x in summary.unusable))
+        blocks.append("\n".join(f"- `{x.file}`: {escaped(x.reason)}" for x in summary.unusable))
     return "\n\n".join(blocks) + "\n"
 
 
@@ -237,8 +237,15 @@ def size_text(comparison: Comparison) -> str:
     return ", ".join([*parts, f"places = {comparison.places}"])
 
 
-def _escaped(text: str) -> str:
-    """Text of which Markdown takes nothing as a sign: the names of XML elements, say."""
+def escaped(text: str) -> str:
+    """Writes text of which Markdown takes nothing as a sign: the names of XML elements, say.
+
+    Args:
+        text: The text.
+
+    Returns:
+        It, with a backslash before each sign.
+    """
     return "".join(f"\\{sign}" if sign in "\\`*_<>[]|" else sign for sign in text)
 
 

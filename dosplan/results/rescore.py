@@ -77,7 +77,7 @@ class Rescored:
         write_text(self.folder.summary_text, summary_markdown(summary))
 
 
-def rescore(path: Path, source: str | None = None) -> Rescored:
+def rescore(path: Path, source: Source | None = None) -> Rescored:
     """Scores a finished run again. Nothing is written.
 
     Args:
@@ -119,7 +119,9 @@ def _found(source: Source) -> dict[str, ScenarioRef]:
         raise FileError(f"{error}; name where the scenarios lie now with --source") from error
 
 
-def _load(refs: Mapping[str, ScenarioRef], name: str, cached: bool, source: str | None) -> Scenario:
+def _load(
+    refs: Mapping[str, ScenarioRef], name: str, cached: bool, source: Source | None
+) -> Scenario:
     if name not in refs:
         raise FileError(
             f"{source or 'the source of the run'} holds no scenario {name}; "

@@ -8,6 +8,7 @@ all rows are over the same episodes, so each is compared with the baseline episo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any, Final, NamedTuple
 
 from dosplan.results.comparison import CompareError, Side, compare_rows, named_arm
 from dosplan.results.folder import RunFolder
-from dosplan.results.intervals import metric_interval
+from dosplan.results.intervals import Interval, metric_interval
 from dosplan.results.manifest import SCENARIO_FILES, RunManifest
 from dosplan.results.paired import Difference
 from dosplan.results.rows import read_run
@@ -45,6 +46,21 @@ class World(NamedTuple):
     traffic: str
     loop: str
     futures: int
+
+    @classmethod
+    def of(cls, traffic: str, options: Mapping[str, Any], loop: str, futures: int) -> World:
+        """Names the world of a run.
+
+        Args:
+            traffic: Name of the traffic.
+            options: Its options.
+            loop: Name of the loop.
+            futures: Number of futures of each scenario.
+
+        Returns:
+            The world.
+        """
+        return cls(with_options(traffic, options), loop, futures)
 
     @property
     def title(self) -> str:
@@ -78,9 +94,7 @@ class Entry:
     def world(self) -> World:
         """What it was driven in."""
         run = self.manifest
-        options = ", ".join(f"{k}={v}" for k, v in sorted(run.config.traffic_options.items()))
-        traffic = f"{run.traffic} ({options})" if options else run.traffic
-        return World(traffic, run.loop, run.config.futures)
+        return World.of(run.traffic, run.config.traffic_options, run.loop, run.config.futures)
 
     @property
     def driver(self) -> tuple[Any, ...]:
@@ -108,6 +122,19 @@ class Figure:
     value: float | None
     low: float | None = None
     high: float | None = None
+
+    @classmethod
+    def of(cls, found: Interval) -> Figure:
+        """Takes over a figure with its interval.
+
+        Args:
+            found: The interval, whose ends are NaN where there is none.
+
+        Returns:
+            The figure.
+        """
+        low, high = (None if math.isnan(end) else end for end in (found.low, found.high))
+        return cls(found.value, low, high)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -280,6 +307,20 @@ def _entries(path: Path, name: str, values: Mapping[str, str]) -> list[Entry]:
     return [Entry(name, side, manifest, values) for side in sides if side.rows]
 
 
+def with_options(name: str, options: Mapping[str, Any]) -> str:
+    """Names a plug-in with its options.
+
+    Args:
+        name: Its name.
+        options: What was set of it.
+
+    Returns:
+        The name, and in brackets the options.
+    """
+    told = ", ".join(f"{key}={value}" for key, value in sorted(options.items()))
+    return f"{name} ({told})" if told else name
+
+
 def _names() -> list[str]:
     return [metric.name for metric in metrics.METRICS]
 
@@ -369,8 +410,7 @@ def _row(entry: Entry, base: Entry | None, columns: tuple[str, ...]) -> Row:
 def _figure(metric: Metric, entry: Entry) -> Figure:
     found = metric_interval(metric, entry.side.rows)
     if found is not None:
-        ends = (None if end != end else end for end in (found.low, found.high))
-        return Figure(found.value, *ends)
+        return Figure.of(found)
     folder = RunFolder(entry.side.path)  # What has no interval is read where it was summed up.
     return Figure(read_summary(folder).arms[entry.side.arm].get(metric.key))
 

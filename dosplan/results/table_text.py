@@ -143,7 +143,7 @@ def block_cells(table: Table, block: Block) -> list[Cells]:
                 _run(row),
                 *(name(row) for name in named.values()),
                 str(row.n),
-                *(_figure(m, row.figures[m.name]) for m in shown),
+                *(figure_text(m, row.figures[m.name]) for m in shown),
             ]
             for row in block.rows
         ],
@@ -157,7 +157,7 @@ def block_cells(table: Table, block: Block) -> list[Cells]:
             [
                 _run(row),
                 *(name(row) for name in named.values()),
-                *(_difference(m, row.differences.get(m.name)) for m in shown),
+                *(difference_text(m, row.differences.get(m.name)) for m in shown),
             ]
             for row in compared
         ],
@@ -223,13 +223,31 @@ def notes(table: Table) -> list[str]:
     return lines
 
 
-def _figure(metric: Metric, figure: Figure) -> str:
+def figure_text(metric: Metric, figure: Figure) -> str:
+    """Writes a figure with its interval.
+
+    Args:
+        metric: Its metric.
+        figure: The figure.
+
+    Returns:
+        The figure, and in brackets the ends of the interval.
+    """
     if figure.low is None:
         return metric.shown(figure.value)
     return f"{metric.shown(figure.value)} [{metric.shown(figure.low)}, {metric.shown(figure.high)}]"
 
 
-def _difference(metric: Metric, found: Difference | None) -> str:
+def difference_text(metric: Metric, found: Difference | None) -> str:
+    """Writes a paired difference with its interval and its p.
+
+    Args:
+        metric: Its metric.
+        found: The difference; None where there is none.
+
+    Returns:
+        The difference, in brackets the ends of the interval, and p; ``-`` for none.
+    """
     if found is None:
         return "-"
     text = metric.shown(found.difference, "+")

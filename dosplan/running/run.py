@@ -296,7 +296,7 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
             "predictor file": content_digest(source_files(predictor)),
             "traffic file": content_digest(source_files(traffic)),
             "weights": content_digest(built_predictor.weight_files()),
-            SCENARIO_FILES: content_digest(_files(traffic.plugin, refs)),
+            SCENARIO_FILES: content_digest(scenario_files(traffic.plugin, refs)),
         },
         started=datetime.now(UTC).isoformat(timespec="seconds"),
         versions={**environment.versions, **traffic.plugin.versions()},
@@ -383,7 +383,7 @@ def _check_same(
         held = manifest.digests[SCENARIO_FILES]
     else:
         driven = (by_id[name] for name in old.scenarios if name in by_id)
-        held = content_digest(_files(traffic, driven))
+        held = content_digest(scenario_files(traffic, driven))
     if odd is None and held not in files.values():
         odd = _CONTENT
     if odd is not None:
@@ -393,8 +393,16 @@ def _check_same(
         )
 
 
-def _files(traffic: type[Traffic], refs: Iterable[ScenarioRef]) -> Iterator[Path]:
-    """The files of scenarios, each with its futures and those that the traffic reads besides."""
+def scenario_files(traffic: type[Traffic], refs: Iterable[ScenarioRef]) -> Iterator[Path]:
+    """Names the files of scenarios.
+
+    Args:
+        traffic: The traffic that is driven.
+        refs: The scenarios.
+
+    Returns:
+        Each scenario's file, that of its futures, and those that the traffic reads besides.
+    """
     for ref in refs:
         yield ref.path
         if (futures := futures_file(ref.path)) is not None:

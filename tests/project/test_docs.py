@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,12 @@ import pytest
 from docs.schema import METRICS_PAGE, PAGE, metrics_page, page_with_tables
 from dosplan.cli.main import main
 from dosplan.plugins.loops import record_loop
+from dosplan.results.scenario_sets import ScenarioSet
+from dosplan.running import submission
+from dosplan.scenario import find_scenarios
 from dosplan.simulation.settings import IDEAL, REALISTIC
 from dosplan.system.files import read_json
+from dosplan.system.provenance import content_digest
 from tests.support.runs import write_scenes
 
 
@@ -71,6 +76,31 @@ def test_the_commands_of_the_page_on_sweeps_do_what_it_says(
     assert "| Minus planner=idm,sets=circles:with_dos | Arm |" in shown
     exec(code)
     assert "Figure(value=" in capsys.readouterr().out
+
+
+def test_the_commands_of_the_page_on_submitting_end_with_a_leaderboard(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = PAGE.with_name("submit.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    scenes = write_scenes(tmp_path / "scenes", 2)
+    tiny = ScenarioSet("suite", tuple(ref.id for ref in find_scenarios(scenes)), 2, "", "scenes")
+    tiny = replace(tiny, digest=content_digest(ref.path for ref in find_scenarios(scenes)))
+    monkeypatch.setattr(submission, "known_sets", lambda: (tiny,))
+    quick = ["--predictor", "growing-circle", "--in-process", "--traffic", "reactive"]
+    quick += ["--set", "predictor.base=constant-velocity"]
+    for line in "".join(re.findall("```sh\n(.*?)```", page, re.DOTALL)).splitlines():
+        command = shlex.split(line.replace("run suite", "run scenes"), comments=True)[1:]
+        if command[0] == "run":
+            command = [part.replace("5", "2") for part in command] + quick
+        assert main(command) == 0, (command, capsys.readouterr().err)
+    text = Path("leaderboard.md").read_text(encoding="utf-8")
+    assert text.count("## suite: traffic reactive-v") == 2
+    assert text.count("| [Coast](https://example.org/coast): coast-v1 with growing-circle") == 4
+    told = read_json(next(Path("results/leaderboard").iterdir())).keys()
+    keys = PAGE.parents[1].joinpath("results/leaderboard/README.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in keys.splitlines() if line.startswith("| `")]
+    assert {name.partition(".")[0] for row in rows for name in re.findall("`(.*?)`", row)} == told
 
 
 def _leaves(settings: dict[str, Any], inside: str = "") -> Iterator[tuple[str, Any]]:

@@ -31,11 +31,12 @@ from dosplan.report.figures import (
     trade_off,
     upper_limits,
 )
-from dosplan.report.figures.sources import Z95, Published, default_results
+from dosplan.report.figures.sources import Z95, Published
 from dosplan.report.figures.style import save
 from dosplan.results.comparison import CompareError
 from dosplan.results.intervals import metric_interval
 from dosplan.results.paired import Difference
+from dosplan.results.published import default_results
 from dosplan.results.rows import read_rows, write_rows
 from dosplan.results.table import Block, Row, Table
 from dosplan.results.table import Figure as Figured

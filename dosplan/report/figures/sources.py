@@ -165,17 +165,6 @@ class Published:
         return found
 
 
-def default_results() -> Path:
-    """The results that came with the package, or those of the source tree it runs from.
-
-    Returns:
-        The folder; it need not exist.
-    """
-    package = Path(__file__).resolve().parents[2]
-    installed, source = package / "_results", package.parent / "results"
-    return installed if installed.is_dir() else source
-
-
 def _read(path: Path, command: str) -> Any:
     if not path.is_file():
         raise FileError(f"{path} is missing; `{command}` makes it, --results names another folder")

@@ -1,0 +1,152 @@
+"""The leaderboard as a page: ``docs/leaderboard.md``, made of the files of its rows alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from dosplan.results.comparison import compare_rows
+from dosplan.results.leaderboard import COLUMNS, ArmResult, Submission
+from dosplan.results.markdown import ARM_TITLES, escaped, markdown
+from dosplan.results.paired import Difference
+from dosplan.results.table_text import difference_text, figure_text
+from dosplan.scoring.metrics import find_metric
+from dosplan.types import Arm, Score
+
+COMPARED: Final = ("success", "at_fault_collision")
+"""Metrics whose paired difference from the baseline is shown."""
+_BASELINE: Final = (re.compile(r"mpc-v(\d+)"), re.compile(r"dos-v(\d+)"))
+_HEAD: Final = """\
+# Leaderboard
+
+<!-- Made from results/leaderboard/*.json by `dosplan leaderboard`: do not edit. -->
+
+Whole runs of known scenario sets. Each set and world (traffic, loop, futures) has a block, since
+figures of different worlds differ for reasons that are not the planner's. How a planner or
+predictor of yours comes in here: [submit.md](submit.md).
+
+- **A row** is one arm of a run: *with DOS* the planner is handed the predictor's sets, *without
+  DOS* its points alone.
+- **Order**: by success; among equals by fewer collisions that the ego is to blame for, then by
+  velocity. Success comes first as no planner gets it by giving something else away: it asks for a
+  safe drive *and* for the goal within its time. By safety alone a car that never starts would win,
+  and by velocity one that looks at nobody.
+- **Intervals** in brackets are of 95 %; they take into account which episodes are of one scenario,
+  and which scenarios of one place. Rows whose intervals overlap may stand the other way round in
+  other scenarios; paired differences are the sharper test.
+- **Minus `mpc`**: the difference from the built-in `mpc` with `dos`, with sets, over the same
+  episodes, with its interval and the p of the exact sign-flip test by scenarios. Among many rows
+  one small p proves little.
+- [metrics.md](metrics.md) says what each figure is. Each run was scored again from its recordings
+  when it was submitted; that the named planner drove it is its authors' word."""
+
+
+def leaderboard_page(submissions: Sequence[Submission]) -> str:
+    """Writes the page.
+
+    Args:
+        submissions: The rows.
+
+    Returns:
+        Its text: a block for each scenario set and world.
+    """
+    blocks: dict[tuple[Any, ...], list[Submission]] = {}
+    for one in submissions:
+        blocks.setdefault(_place(one), []).append(one)
+    parts = [_HEAD]
+    for place in sorted(blocks):
+        parts += _block(blocks[place])
+    if not blocks:
+        parts.append("No run has been submitted yet.")
+    return "\n\n".join(parts) + "\n"
+
+
+@dataclass(frozen=True)
+class _Line:
+    """An arm of a submission."""
+
+    of: Submission
+    arm: Arm
+    result: ArmResult
+
+    @property
+    def rows(self) -> list[Score]:
+        return self.result.rows(self.arm)
+
+    @property
+    def rank(self) -> tuple[Any, ...]:
+        """What the rows of a block are sorted by."""
+        success, blamed, velocity = (
+            self.result.figures[name].value or 0.0
+            for name in ("success", "at_fault_collision", "velocity")
+        )
+        return (-success, blamed, -velocity, self.of.title, self.arm)
+
+    @property
+    def version(self) -> tuple[int, ...] | None:
+        """Of the baseline: the versions of planner and predictor; None of all others."""
+        names = (self.of.planner, self.of.predictor)
+        found = [form.fullmatch(name) for form, name in zip(_BASELINE, names, strict=True)]
+        if self.arm is not Arm.WITH_DOS or not self.of.is_built_in:
+            return None
+        versions = tuple(int(one[1]) for one in found if one is not None)
+        return versions if len(versions) == len(found) else None
+
+
+def _place(one: Submission) -> tuple[Any, ...]:
+    """What belongs into one block."""
+    return (one.scenario_set, one.world, one.seed, one.set_digest)
+
+
+def _block(members: Sequence[Submission]) -> Iterator[str]:
+    lines = [_Line(one, arm, result) for one in members for arm, result in one.arms.items()]
+    lines.sort(key=lambda line: line.rank)
+    first = members[0]
+    bases = [line for line in lines if line.version is not None]
+    base = max(bases, key=lambda line: line.version or (), default=None)
+    shown = [find_metric(name) for name in COLUMNS]
+    compared = [] if base is None else [find_metric(name) for name in COMPARED]
+    headings = ["Run", "Arm", *(metric.heading for metric in shown)]
+    headings += [f"{metric.heading}, minus `mpc`" for metric in compared]
+    rows = []
+    for line in lines:
+        found = _differences(line, base)
+        rows.append(
+            [
+                _named(line.of),
+                ARM_TITLES[line.arm],
+                *(figure_text(m, line.result.figures[m.name]) for m in shown),
+                *(difference_text(m, found.get(m.name)) for m in compared),
+            ]
+        )
+    result = lines[0].result
+    yield f"## {first.scenario_set}: {first.world.title}"
+    episodes = sum(len(words.split()) for words in result.episodes.values())
+    seed = f", seed {first.seed}" if first.seed else ""
+    yield (
+        f"{len(result.episodes)} scenarios, {episodes} episodes in each row{seed}; files "
+        f"`{first.set_digest[:8]}`; scored by dosplan {' and '.join(_versions(members))}."
+    )
+    yield markdown(headings, rows)
+
+
+def _differences(line: _Line, base: _Line | None) -> dict[str, Difference]:
+    if base is None or line is base:
+        return {}
+    return dict(compare_rows(base.rows, line.rows, "mpc", line.of.title).differences)
+
+
+def _versions(members: Sequence[Submission]) -> list[str]:
+    return sorted({one.dosplan for one in members})
+
+
+def _named(one: Submission) -> str:
+    """The name of a run as Markdown, with what drives where the name does not say it."""
+    name = escaped(one.title)
+    if one.about.url:
+        name = f"[{name}]({one.about.url})"
+    if one.about.name:
+        name += f": {escaped(' with '.join(one.drivers))}"
+    return f"{name}, {escaped(one.about.authors)}" if one.about.authors else name

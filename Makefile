@@ -12,7 +12,7 @@ PEERS_ARGS ?=
 # Tests side by side; who is done takes tests over from the others.
 SIDE_BY_SIDE = --numprocesses $(WORKERS) --dist worksteal
 
-.PHONY: run test test-all suite-check bench peers bench-peers lint clean
+.PHONY: run test test-all suite-check bench peers bench-peers docs lint clean
 
 run: $(VENV)/.run
 	$(BIN)/dosplan run --workers $(WORKERS) --futures $(FUTURES) $(RUN_ARGS)
@@ -41,6 +41,10 @@ bench-peers: $(VENV)/.dev
 	$(PIP) --editable ".[peers]"
 	$(BIN)/python -m benchmarks.peers_cycle $(PEERS_ARGS)
 
+# The documentation as a site, in build/site; a warning is an error.
+docs: $(VENV)/.dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -62,6 +66,6 @@ $(VENV)/.run: $(BIN)/python pyproject.toml constraints.txt
 # The drivability checker is an oracle of some tests only, and one of its dependencies comes as
 # source: where no compiler is at hand, those tests are skipped and say so.
 $(VENV)/.dev: $(VENV)/.run
-	$(PIP) --editable ".[dev,cluster,onnx,frames,video]"
+	$(PIP) --editable ".[dev,cluster,onnx,frames,video,docs]"
 	$(PIP) --editable ".[oracle]" || echo "no drivability checker: its oracle tests are skipped"
 	touch $@

@@ -26,7 +26,7 @@ from dosplan.cli.sweep import SweepCommand
 from dosplan.cli.table import TableCommand
 from dosplan.system.errors import DosplanError
 
-__all__ = ["BAD_INPUT", "FAILED", "INTERRUPTED", "OK", "main"]
+__all__ = ["BAD_INPUT", "FAILED", "INTERRUPTED", "OK", "main", "make_parser"]
 
 _BUILT_IN: Final[Mapping[str, Command]] = {
     "run": RunCommand(),
@@ -42,7 +42,7 @@ _BUILT_IN: Final[Mapping[str, Command]] = {
     "bench": BenchCommand(),
 }
 
-_EXIT_CODES: Final = """\
+EXIT_CODES: Final = """\
 exit codes:
   0    everything was done: every episode is scored, every file evaluated, every check passed
   1    some episodes are failures, some files are unusable or could not be evaluated, or a
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     given = sys.argv[1:] if arguments is None else list(arguments)
-    options = _parser().parse_args(given)
+    options = make_parser().parse_args(given)
     try:
         with _terminated_as_interrupted():
             code: int = options.command(options)
@@ -92,11 +92,16 @@ def _terminated_as_interrupted() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
+    """Makes the parser of the whole command line, commands of packages included.
+
+    Returns:
+        The parser; `command` of what it parses runs the subcommand.
+    """
     parser = _Parser(
         prog="dosplan",
         description="Benchmark motion planners under prediction uncertainty.",
-        epilog=_EXIT_CODES,
+        epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"dosplan {__version__}")
@@ -115,7 +120,7 @@ def _add_command(subparsers: Any, name: str, command: Command) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     command.add_arguments(parser)
-    parser.epilog = "\n".join(part for part in (parser.epilog, _EXIT_CODES) if part)
+    parser.epilog = "\n".join(part for part in (parser.epilog, EXIT_CODES) if part)
     parser.set_defaults(command=command.run)
 
 

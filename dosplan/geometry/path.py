@@ -11,10 +11,15 @@ import shapely
 from dosplan.types import FloatArray, Route
 
 PATH_X: Final = 0
+"""Column of a path: x, m."""
 PATH_Y: Final = 1
+"""Column of a path: y, m."""
 PATH_HEADING: Final = 2
+"""Column of a path: heading, rad."""
 PATH_CURVATURE: Final = 3
+"""Column of a path: curvature, 1/m, positive to the left."""
 PATH_SIZE: Final = 4
+"""Number of columns of a path."""
 
 _NEWTON_STEPS: Final = 4  # From a few metres off they end within a millimetre.
 _LONGEST_STEP: Final = 12.0  # m; keeps Newton's method on its branch where the path turns back.

@@ -11,21 +11,35 @@ import numpy.typing as npt
 from dosplan.system.errors import DosplanError
 
 FloatArray = npt.NDArray[np.float64]
+"""Array of 64-bit floats."""
 BoolArray = npt.NDArray[np.bool_]
+"""Array of truth values."""
 IntArray = npt.NDArray[np.int64]
+"""Array of 64-bit integers."""
 
 EGO_X: Final = 0
+"""Column of an ego state: x of the rear axle, m."""
 EGO_Y: Final = 1
+"""Column of an ego state: y of the rear axle, m."""
 EGO_STEERING: Final = 2
+"""Column of an ego state: angle of the front wheels, rad."""
 EGO_VELOCITY: Final = 3
+"""Column of an ego state: velocity of the rear axle, m/s."""
 EGO_HEADING: Final = 4
+"""Column of an ego state: heading, rad."""
 EGO_SIZE: Final = 5
+"""Number of columns of an ego state."""
 
 USER_X: Final = 0
+"""Column of a road user's state: x of its centre, m."""
 USER_Y: Final = 1
+"""Column of a road user's state: y of its centre, m."""
 USER_HEADING: Final = 2
+"""Column of a road user's state: heading, rad."""
 USER_VELOCITY: Final = 3
+"""Column of a road user's state: velocity along the heading, m/s."""
 USER_SIZE: Final = 4
+"""Number of columns of a road user's state."""
 
 
 class ShapeError(DosplanError, ValueError):

@@ -27,7 +27,8 @@ from dosplan.types.lights import LightStates
 from dosplan.types.road import RoadMap
 from dosplan.types.scenario import PlanningTask, RoadUserKind
 
-HISTORY_STEPS: Final = 31  # Steps of the past that a predictor sees, the present one included: 3 s.
+HISTORY_STEPS: Final = 31
+"""Steps of the past that a predictor sees, the present one included: 3 s."""
 WEIGHT_TOLERANCE: Final = 1e-6  # By which the weights of a union may miss a sum of 1.
 
 

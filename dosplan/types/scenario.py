@@ -24,6 +24,7 @@ from dosplan.types.road import RoadMap
 from dosplan.types.vehicle import VehicleParameters
 
 STEP_SECONDS: Final = 0.1
+"""Time between two steps of every scenario once it is loaded, s."""
 
 
 class RoadUserKind(StrEnum):

@@ -7,19 +7,26 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+import dosplan.scoring.score
+from docs.pictures import PICTURES
 from docs.schema import METRICS_PAGE, PAGE, metrics_page, page_with_tables
 from dosplan.cli.main import main
 from dosplan.plugins.loops import record_loop
+from dosplan.results.rows import read_rows
 from dosplan.results.scenario_sets import ScenarioSet
 from dosplan.running import submission
 from dosplan.scenario import find_scenarios
+from dosplan.scoring.score import failed_score
 from dosplan.simulation.settings import IDEAL, REALISTIC
 from dosplan.system.files import read_json
 from dosplan.system.provenance import content_digest
+from dosplan.types import Arm, EpisodeKey
 from tests.support.runs import write_scenes
 
 
@@ -101,6 +108,86 @@ def test_the_commands_of_the_page_on_submitting_end_with_a_leaderboard(
     keys = PAGE.parents[1].joinpath("results/leaderboard/README.md").read_text(encoding="utf-8")
     rows = [line.split("|")[1] for line in keys.splitlines() if line.startswith("| `")]
     assert {name.partition(".")[0] for row in rows for name in re.findall("`(.*?)`", row)} == told
+
+
+def test_definitions_are_those_of_the_scorer() -> None:
+    page = PAGE.with_name("definitions.md").read_text(encoding="utf-8")
+    section = page[page.index("- **Two arms.**") :].strip()
+    assert section in (dosplan.scoring.score.__doc__ or "")
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_a_picture_is_what_the_script_draws(name: str) -> None:
+    file = PAGE.with_name("pictures") / f"{name}.svg"
+    assert file.read_text(encoding="utf-8") == PICTURES[name]().svg(), (
+        "run: python docs/pictures.py"
+    )
+
+
+def test_the_first_steps_can_be_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = PAGE.with_name("first-steps.md").read_text(encoding="utf-8")
+    commands = [
+        shlex.split(line, comments=True)[1:]
+        for block in re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+        for line in block.splitlines()
+        if line.startswith("dosplan ")
+    ]
+    told = {command[0] for command in commands}
+    assert told == {"list", "run", "compare", "report", "explain", "render"}
+    monkeypatch.chdir(tmp_path)
+    driven = "ZAM_OnRamp-1_1_T-1"  # One of the four that the page drives.
+    for command in commands:
+        if command[0] == "run":
+            if "--futures" not in command:
+                command[1:2] = [driven, "--source", command[1]]
+            command += ["--in-process", "--predictor", "constant-velocity"]
+        command = ["2" if word == "5" else word for word in command]  # Two futures will do.
+        assert main(command) == 0, (command, capsys.readouterr().err)
+    assert Path("merge.png").stat().st_size > 10_000
+    assert {row.future for row in read_rows(Path("runs/futures/scenarios.jsonl"))} == {0, 1}
+    assert {row.loop for row in read_rows(Path("runs/late/scenarios.jsonl"))} == {"realistic"}
+
+
+@pytest.mark.parametrize(
+    ("page", "file"), [("own-planner", "mine.py"), ("own-predictor", "straight.py")]
+)
+def test_the_plugin_of_a_page_is_checked_and_does_what_the_page_says(
+    page: str, file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    text = PAGE.with_name(f"{page}.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    Path(file).write_text(code, encoding="utf-8")
+    scenes = write_scenes(tmp_path / "scenes", 2, name="ZAM_OnRamp-{:d}_1_T-1")
+    for commands in re.findall(r"```sh\n(.*?)```", text, re.DOTALL):
+        for line in commands.splitlines():
+            _, command, *arguments = shlex.split(line, comments=True)
+            if "suite-1" in arguments:
+                arguments[arguments.index("suite-1")] = str(scenes)
+            elif command == "run":
+                arguments.insert(0, str(scenes))
+            if command == "run":
+                arguments += ["--in-process"]
+                if "--predictor" not in arguments:
+                    arguments += ["--predictor", "constant-velocity"]
+            assert main([command, *arguments]) == 0, (line, capsys.readouterr().err)
+
+
+def test_the_metrics_of_the_page_on_metrics_measure() -> None:
+    text = PAGE.with_name("own-metric.md").read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        exec(code, names)
+    close = names["CLOSE_CALL"].value(failed_score(EpisodeKey("s", Arm.WITH_DOS), ""))
+    assert close is False
+    speeds = np.zeros((5, 4))
+    speeds[:, 3] = (9.0, 0.05, 0.0, 3.0, 3.0)
+    part = SimpleNamespace(drove=True, ego=speeds)
+    assert names["STANDING"].measure(part) == 0.5
+    assert names["STANDING"].measure(SimpleNamespace(drove=False)) is None
 
 
 def _leaves(settings: dict[str, Any], inside: str = "") -> Iterator[tuple[str, Any]]:

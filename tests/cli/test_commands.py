@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import subprocess
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
@@ -100,7 +101,7 @@ def test_one_that_cannot_be_used_costs_a_line_and_no_other_command(
     )
     assert "\n    bad" not in shown.out
     assert "\n    greet" in shown.out
-    assert "\n    run       drive and score" in shown.out
+    assert "\n    run drive and score" in re.sub(" +(?=drive)", " ", shown.out)
 
 
 def test_a_name_offered_twice_is_refused(

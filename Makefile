@@ -9,10 +9,11 @@ FUTURES ?= 2
 RUN_ARGS ?=
 BENCH_ARGS ?=
 PEERS_ARGS ?=
+DIST ?= dist
 # Tests side by side; who is done takes tests over from the others.
 SIDE_BY_SIDE = --numprocesses $(WORKERS) --dist worksteal
 
-.PHONY: run test test-all suite-check bench peers bench-peers docs lint clean
+.PHONY: run test test-all suite-check bench peers bench-peers docs lint dist clean
 
 run: $(VENV)/.run
 	$(BIN)/dosplan run --workers $(WORKERS) --futures $(FUTURES) $(RUN_ARGS)
@@ -49,6 +50,13 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# What the package index gets: the wheel is built from the source distribution.
+dist: $(BIN)/python
+	$(PIP) build twine "readme_renderer[md]"
+	rm -rf $(DIST)
+	$(BIN)/python -m build --outdir $(DIST)
+	$(BIN)/python -m twine check --strict $(DIST)/*
 
 clean:
 	rm -rf $(VENV) dist build

@@ -6,7 +6,7 @@ import hashlib
 import tempfile
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from dosplan_sumo.acts import ENDING
 from dosplan_sumo.script import rounded
+from dosplan_sumo.simulator import SumoError
 
 from dosplan.scenario.commonroad.drafts import Header
 from dosplan.scenario.commonroad.writer import compress
@@ -101,12 +102,36 @@ class Built:
     rejected: Counter[str]
 
 
-def build(place: Place, seed: int) -> Built:
+def attempt_at(place: Place, seed: int, attempt: int) -> Built:
+    """Draws one scene for a scenario.
+
+    Args:
+        place: The scenario's place in the suite.
+        seed: Seed of the suite.
+        attempt: Number of the scene among those of this place, from 0.
+
+    Returns:
+        The scenario, with no rejections before it.
+
+    Raises:
+        RejectedError: The scene is of no use, or SUMO cannot drive it.
+    """
+    with tempfile.TemporaryDirectory(prefix="dosplan-suite-") as name:
+        try:
+            return _attempt(place, seed, attempt, Path(name))
+        except SumoError as error:
+            raise RejectedError(str(error)) from None
+
+
+def build(
+    place: Place, seed: int, attempt_at: Callable[[Place, int, int], Built] = attempt_at
+) -> Built:
     """Builds one scenario.
 
     Args:
         place: Its place in the suite.
         seed: Seed of the suite.
+        attempt_at: Draws a scene, see the function of that name.
 
     Returns:
         The scenario.
@@ -116,16 +141,15 @@ def build(place: Place, seed: int) -> Built:
     """
     rejected: Counter[str] = Counter()
     for attempt in range(ATTEMPTS):
-        with tempfile.TemporaryDirectory(prefix="dosplan-suite-") as name:
-            try:
-                return _attempt(place, seed, attempt, Path(name), rejected)
-            except RejectedError as reason:
-                rejected[str(reason)] += 1
+        try:
+            return replace(attempt_at(place, seed, attempt), rejected=rejected)
+        except RejectedError as reason:
+            rejected[str(reason)] += 1
     reasons = ", ".join(f"{reason} ({count})" for reason, count in rejected.most_common())
     raise RuntimeError(f"{place.benchmark_id}: {ATTEMPTS} scenes were rejected: {reasons}")
 
 
-def _attempt(place: Place, seed: int, attempt: int, folder: Path, rejected: Counter[str]) -> Built:
+def _attempt(place: Place, seed: int, attempt: int, folder: Path) -> Built:
     rng = place.rng(seed, attempt)
     staging = KINDS[place.kind].draw(rng)
     acts = _acts(staging, rng)
@@ -152,7 +176,7 @@ def _attempt(place: Place, seed: int, attempt: int, folder: Path, rejected: Coun
     sumo = sumo_inputs(name, net, simulated.demand.root, simulated.seed, EGO, simulated.start_time)
     row = _row(place, seed, acts, scene, verdict.defeats, files)
     files |= {f"sumo-files/{file}": content for file, content in sumo.items()}
-    return Built(files, row, verdict.drives, scene.start, rejected)
+    return Built(files, row, verdict.drives, scene.start, Counter())
 
 
 def _acts(staging: Staging, rng: Rng) -> list[Act]:

@@ -98,7 +98,8 @@ def simulate(staging: Staging, acts: Sequence[Act], net: Path, folder: Path, rng
             folder,
         )
         try:
-            runs.append(_run(simulation, staging, act, demand))
+            with simulation.failures():
+                runs.append(_run(simulation, staging, act, demand))
         finally:
             simulation.close()
     first = runs[0]

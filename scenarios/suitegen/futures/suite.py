@@ -7,15 +7,22 @@ import json
 import shutil
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from pathlib import Path
+from threading import Lock
+from typing import Final
 
 import numpy as np
 
-from suitegen.futures.build import Built, Place, build, drives_csv, places
+from suitegen.futures.build import Built, Place, attempt_at, build, drives_csv, places
+from suitegen.futures.simulate import RejectedError
 
 UNFINISHED = "unfinished"
 """Folder for what is kept of each scenario until all are there."""
+_FORKS: Final = Lock()
+"""Held while a process begins, so that no other one gets hold of its pipes and hides its end."""
 
 
 def build_suite(
@@ -80,10 +87,46 @@ def build_suite(
 
 def _built(wanted: Sequence[Place], seed: int, jobs: int) -> Iterator[tuple[Place, Future[Built]]]:
     """Scenarios as they are finished."""
-    with ProcessPoolExecutor(jobs) as pool:
-        running = {pool.submit(build, place, seed): place for place in wanted}
+    threads = ThreadPoolExecutor(jobs)
+    try:
+        running = {threads.submit(_build_apart, place, seed): place for place in wanted}
         for result in as_completed(running):
             yield running[result], result
+    finally:
+        threads.shutdown(cancel_futures=True)
+
+
+def _build_apart(place: Place, seed: int) -> Built:
+    """Builds a scenario in a process of its own."""
+    with closing(_Process()) as process:
+        return build(place, seed, process.attempt_at)
+
+
+class _Process:
+    """Draws scenes in a process of its own: where SUMO takes it down, that scene is rejected.
+
+    It is tried twice, since a process may also be killed for what is not the scene's fault, and
+    the same seed has to give the same suite.
+    """
+
+    def __init__(self) -> None:
+        self._pool = ProcessPoolExecutor(1)
+
+    def attempt_at(self, place: Place, seed: int, attempt: int) -> Built:
+        """See ``build.attempt_at``."""
+        for _ in range(2):
+            try:
+                with _FORKS:
+                    result = self._pool.submit(attempt_at, place, seed, attempt)
+                return result.result()
+            except BrokenProcessPool:
+                self._pool.shutdown()
+                self._pool = ProcessPoolExecutor(1)
+        raise RejectedError("SUMO takes its process down")
+
+    def close(self) -> None:
+        """Ends the process."""
+        self._pool.shutdown()
 
 
 def _keep(folder: Path, built: Built) -> None:

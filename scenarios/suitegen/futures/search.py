@@ -43,7 +43,8 @@ from suitegen.futures.right_of_way import Referee, lights_on_the_way
 from suitegen.verdict import recorded_episode
 
 CLEARANCE = 0.15
-"""Distance that a drive keeps from everybody, at the steps and between, m."""
+"""Distance from everybody that is planned, m; what is driven keeps nine tenths of it, at the steps
+and between."""
 KERB = 0.05
 """Distance that it keeps from the edge of the road, m."""
 GENTLE = (1.5, 0.4)

@@ -3,9 +3,10 @@
 =========================  =====================================================================
 what                       from where
 =========================  =====================================================================
-``WALKING``                Fitzpatrick et al., "Improving pedestrian safety at unsignalized
-                           crossings", NCHRP Report 562, 2006: 1.45 m/s; the slowest 15 % walk at
-                           1.15 m/s
+``WALKING``                about what Fitzpatrick et al., "Improving pedestrian safety at
+                           unsignalized crossings", NCHRP Report 562, 2006, found of adults below
+                           60: 1.45 m/s in the median, the slowest 15 % below 1.15 m/s; the bounds
+                           are assumptions
 ``RUNNING``,               the order of magnitude is that of Zebala, Ciepka and Reza, "Pedestrian
 ``SETTING_OFF``,           acceleration and speeds", Problems of Forensic Sciences 91, 2012; the
 ``DASHING``                bounds are assumptions
@@ -15,7 +16,8 @@ what                       from where
 ``STOPPING_AT_AMBER``      Gates, Noyce, Laracuente and Nordheim, "Analysis of driver behavior in
                            dilemma zones at signalized intersections", Transportation Research
                            Record 2030, 2007: those who stop brake with 2.2 to 3.9 m/s2 (15 % and
-                           85 %), after 1.0 s in the median
+                           85 %), after 1.0 s in the median. Here they brake with as much as
+                           they need, and 0.4 to 0.7 s after amber: an assumption
 ``RED_RUNNING``            who runs a light keeps the speed or accelerates: an assumption
 ``TURNING``                a lateral acceleration of 3 to 4 m/s2 at radii of 10 to 15 m: an
                            assumption
@@ -67,8 +69,8 @@ DASHING: Final = 3.0
 """Acceleration of somebody who breaks into a run, m/s2."""
 CYCLING: Final = (4.0, 5.5)
 """Bounds of the speed of cyclists, m/s."""
-STOPPING_AT_AMBER: Final = (2.5, 4.2)
-"""Bounds of the deceleration of who stops for a light, m/s2."""
+STOPPING_AT_AMBER: Final = 4.2
+"""Hardest deceleration of who stops for a light, m/s2."""
 RED_RUNNING: Final = (1.0, 1.15)
 """Bounds of the speed of who runs a light over the speed before."""
 TURNING: Final = (5.5, 7.0)

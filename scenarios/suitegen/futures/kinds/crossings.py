@@ -285,7 +285,7 @@ def _amber_turn(rng: Rng) -> Staging:
         reaction = MAIN_AMBER - start - BRANCH + float(rng.uniform(0.4, 0.7))
         left = oncoming * (line - BRANCH - reaction)
         if chosen(rng, {"stops": 0.5, "runs": 0.5}) == "stops":
-            over = max(2.0 * (left - 0.7) / oncoming, oncoming / STOPPING_AT_AMBER[1])
+            over = max(2.0 * (left - 0.7) / oncoming, oncoming / STOPPING_AT_AMBER)
             brake = Action(reaction, name, Verb.BRAKE, 0.0, over=over)
             return Act("stops at the amber light", (brake,))
         run = _careless(name, oncoming * between(rng, RED_RUNNING), reaction)

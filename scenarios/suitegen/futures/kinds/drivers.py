@@ -17,24 +17,23 @@ Range = tuple[float, float]
 class Drivers:
     """Ranges and shares from which the drivers of the cast are drawn.
 
-    Where no source is named, the figure is an assumption, chosen so that both outcomes are common.
+    All bounds are assumptions, chosen so that both outcomes are common. Where a source is named,
+    they are of the order of what it says.
 
     Attributes:
-        time_gap: Time gap in dense traffic, s, of those who follow closely; the most frequent one
-            on German motorways is 0.9 to 1.1 s (Treiber, Kesting, "Traffic Flow Dynamics", 2013,
-            sec. 4.3).
-        hard_braking: Deceleration of an emergency, m/s2. Drivers who must stop unexpectedly brake
-            with 5.4 m/s2 in the mean, up to 7.5 and more (Fambro, Fitzpatrick, Koppa,
+        time_gap: Time gap in dense traffic, s, of those who follow closely: about 1 s is frequent
+            on motorways (Treiber, Kesting, "Traffic Flow Dynamics", 2013), and these are below.
+        hard_braking: Deceleration of an emergency, m/s2: towards what a dry road lets brakes do.
+        light_braking: Deceleration of ordinary driving, m/s2. Nine of ten drivers who must stop for
+            something unexpected brake harder than its upper end (Fambro, Fitzpatrick, Koppa,
             "Determination of stopping sight distances", NCHRP Report 400, 1997).
-        light_braking: Deceleration of ordinary driving, m/s2; 3.4 is what nine of ten drivers
-            exceed only when they must (the same report).
-        attentive_reaction: Time until the stand-in acts on what it did not expect, s: its lower
-            end is that of alerted drivers (Green, "How long does it take to stop?", Transportation
-            Human Factors 2, 2000).
-        lane_change: Lateral speed of a lane change, m/s. Lane changes on motorways last 4.6 s in
-            the mean and 1 to 13 s at the extremes (Toledo, Zohar, "Modeling duration of lane
-            changes", Transportation Research Record 1999, 2007): with 3.6 m of lane a mean of
-            0.8 m/s; these are the quickest ones, of 1.4 to 2 s.
+        attentive_reaction: Time until the stand-in acts, s: about that of drivers who know what may
+            come, 0.7 to 0.75 s (Green, "How long does it take to stop?", Transportation Human
+            Factors 2, 2000).
+        lane_change: Lateral speed of a lane change, m/s. Lane changes on motorways last between 1
+            and 13 s, 4.6 s in the mean (Toledo, Zohar, "Modeling duration of lane changes",
+            Transportation Research Record 1999, 2007): over 3.6 m of lane that is 0.8 m/s. These
+            are quick ones, of 1.4 to 2 s.
         merge: Lateral speed where a lane ends, m/s.
         cut_in_gap: Distance between the rear of who cuts in and the ego when the two come to
             overlap sideways, m, if the ego keeps its speed. Drivers who change lanes into somebody
@@ -43,19 +42,18 @@ class Drivers:
         late_gap: The same where a lane ends; negative where the two are abreast.
         cut_in_braking: Deceleration of who changes lanes because the own one is blocked, m/s2.
         swerve: Lateral speed of who avoids a collision, m/s.
-        swerve_braking: Its deceleration meanwhile, m/s2: of drivers who avoid a collision most
-            brake first, and many steer then, too (Adams, "Review of the literature on obstacle
-            avoidance maneuvers", UMTRI-94-19, 1994).
-        bus_start: Acceleration with which a bus leaves its stop, m/s2, from about the 1 m/s2 of
-            the Transit Capacity and Quality of Service Manual (TCRP Report 165, 2013) upwards:
-            these drivers are in a hurry.
+        swerve_braking: Its deceleration meanwhile, m/s2: drivers who avoid a collision brake more
+            often than they steer, or do both (Adams, "Review of the literature on obstacle
+            avoidance maneuvers: braking versus steering", UMTRI-94-19, 1994).
+        bus_start: Acceleration with which a bus leaves its stop, m/s2. About 1 m/s2 is usual
+            (Transit Capacity and Quality of Service Manual, TCRP Report 165, 2013); these drivers
+            are in a hurry.
         bus_angle: Its lateral speed as a share of its speed: 23 to 30 degrees.
-        moving_off: Acceleration of a car that wants a small gap, m/s2 (Long, "Acceleration
-            characteristics of starting vehicles", Transportation Research Record 1737, 2000: up to
-            about 3 m/s2 below 10 m/s).
+        moving_off: Acceleration of a car that wants a small gap, m/s2: near the most that a common
+            car can.
         entry_gap: Time until a circulating car comes by at which an assertive driver still enters
-            a roundabout, s: an assumption, about a third of the critical gap of 4.2 to 5.9 s
-            (NCHRP Report 572, "Roundabouts in the United States", 2007).
+            a roundabout, s: about a third of the critical gap, which is 4 to 6 s ("Roundabouts in
+            the United States", NCHRP Report 572, 2007).
         queue_start: Acceleration of a queue that dissolves, m/s2.
     """
 

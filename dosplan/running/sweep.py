@@ -101,7 +101,7 @@ def read_sweep(path: Path, changes: Settings | None = None) -> tuple[SweepRun, .
 
     Args:
         path: The YAML file.
-        changes: Settings that take the place of those of its base.
+        changes: Settings that take the place of those of its bases, but not of its axes.
 
     Returns:
         The runs, in the order of the file, the last axis the quickest.
@@ -111,7 +111,7 @@ def read_sweep(path: Path, changes: Settings | None = None) -> tuple[SweepRun, .
         RegistryError: A predictor cannot be found.
     """
     content = _mapping(_parsed(path), str(path), _KEYS)
-    base = _mapping(content.get("base"), f"{path}: base") | dict(changes or {})
+    base = _mapping(content.get("base"), f"{path}: base")
     axes = _axes(content.get("axes"), f"{path}: axes")
     grids = content.get("grids", [{}])
     if not isinstance(grids, list) or not grids:
@@ -126,7 +126,7 @@ def read_sweep(path: Path, changes: Settings | None = None) -> tuple[SweepRun, .
             raise SweepError(f"{where}: the axis {both[0]!r} is one of the whole file, too")
         for axis, values in (axes | own).items():
             known.setdefault(axis, set()).update(values)
-        shared = base | _mapping(grid.get("base"), f"{where}: base")
+        shared = base | _mapping(grid.get("base"), f"{where}: base") | dict(changes or {})
         found += _product(shared, axes | own, where)
     left_out = _left_out(content.get("without"), f"{path}: without", known)
     kept = [one for one in found if not any(_agrees(one[0], entry) for entry in left_out)]

@@ -496,6 +496,29 @@ def test_the_frontier_has_a_curve_for_each_method_and_points_without_coverage() 
         frontier.methods(other)
 
 
+def test_runs_whose_coverage_is_no_number_or_alone_are_in_the_frontier() -> None:
+    made, without = Arm.WITH_DOS, Arm.WITHOUT_DOS
+    rows = [
+        _row("method=free", made, 0.4, 8.0, method="free"),
+        _row("coverage=none", made, 0.3, 8.0, method="union", coverage="none"),
+        _row("coverage=50", made, 0.2, 8.0, method="union", coverage="50"),
+        _row("coverage=90", made, 0.1, 8.0, method="free", coverage="90"),
+        _row("coverage=0.7", made, 0.1, 8.0, coverage="0.7"),
+        _row("coverage=0.7", without, 0.1, 8.0, coverage="0.7"),
+        _row("coverage=0.5", made, 0.1, 8.0, coverage="0.5"),
+        _row("coverage=0.5", without, 0.1, 8.0, coverage="0.5"),
+    ]
+    table = Table(frontier.COLUMNS, (Block("suite", None, tuple(rows)),))
+    assert {one.title: one.levels for one in frontier.methods(table)} == {
+        "free": (90.0,),
+        "method=free": None,
+        "union, none": None,
+        "union": (50.0,),
+        "q-v1, with DOS": (50.0, 70.0),
+        "q-v1, without DOS": None,
+    }
+
+
 def test_the_frontier_is_drawn_of_the_runs_after_its_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

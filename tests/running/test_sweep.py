@@ -65,6 +65,8 @@ def test_what_the_command_says_takes_the_place_of_the_base_but_not_of_an_axis(
 ) -> None:
     runs = _read(tmp_path, "base: {limit: 5}\naxes: {futures: [1, 3]}\n", limit=2, futures=9)
     assert [(one.settings.limit, one.settings.futures) for one in runs] == [(2, 1), (2, 3)]
+    (of_grid,) = _read(tmp_path, "grids: [{base: {limit: 5}, axes: {seed: [0]}}]\n", limit=2)
+    assert of_grid.settings.limit == 2
 
 
 def test_settings_of_every_owner_are_options(tmp_path: Path) -> None:

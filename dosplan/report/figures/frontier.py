@@ -6,7 +6,7 @@ without sets, is a single point.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
@@ -62,7 +62,7 @@ def methods(table: Table) -> list[Method]:
 
     Args:
         table: The runs. Those of a sweep with an axis ``coverage`` (or one that ends so, as
-            ``predictor.coverage``) make curves of the others' values.
+            ``predictor.coverage``) make a curve for each combination of the others' values.
 
     Returns:
         The methods, in the order of the table.
@@ -79,24 +79,30 @@ def methods(table: Table) -> list[Method]:
     both = {row.run for row in rows if sum(other.run == row.run for other in rows) > 1}
     found: dict[str, list[tuple[float | None, Row]]] = {}
     for row in rows:
-        names = [name for axis, name in row.values.items() if not _is_level(axis)]
-        title = ", ".join(names) or row.run
-        level = next((_percent(name) for axis, name in row.values.items() if _is_level(axis)), None)
+        levels = {axis: _percent(name) for axis, name in row.values.items() if _is_level(axis)}
+        level = next((one for one in levels.values() if one is not None), None)
+        # A coverage that is no number, as "none", is a method of its own.
+        names = [name for axis, name in row.values.items() if levels.get(axis) is None]
+        title = ", ".join(names) or (row.run if level is None else row.predictor)
         if row.run in both:
             title += f", {ARM_TITLES[row.arm]}"
             level = level if row.arm is Arm.WITH_DOS else None
-        if level is None and title in found:
+        if row.run in both and level is None and title in found:
             continue  # The arm without sets is the same at each coverage.
         found.setdefault(title, []).append((level, row))
-    return [_method(title, points) for title, points in found.items()]
+    return [one for title, points in found.items() for one in _called(title, points)]
 
 
-def _method(title: str, points: Sequence[tuple[float | None, Row]]) -> Method:
-    levels = {row.spec: level for level, row in points if level is not None}
-    if not levels:
-        return Method(title, (points[0][1],), None)
-    rows = sorted((row for _, row in points), key=lambda row: levels[row.spec])
-    return Method(title, tuple(rows), tuple(levels[row.spec] for row in rows))
+def _called(title: str, points: Sequence[tuple[float | None, Row]]) -> Iterator[Method]:
+    """The methods of one title: a curve, and what has no coverage by itself."""
+    curve = sorted(
+        ((level, row) for level, row in points if level is not None), key=lambda one: one[0]
+    )
+    if curve:
+        yield Method(title, tuple(row for _, row in curve), tuple(level for level, _ in curve))
+    single = [row for level, row in points if level is None]
+    for number, row in enumerate(single):
+        yield Method(row.run if curve or number else title, (row,), None)
 
 
 def _is_level(axis: str) -> bool:

@@ -26,7 +26,19 @@ from dosplan.results.recording import Recording
 from dosplan.results.rows import LATER
 from dosplan.results.summary import ArmSummary, RunTitle, Summary
 from dosplan.results.unusable import Unusable
-from dosplan.scoring import commonroad_cost, metrics, nuplan, progress, rules
+from dosplan.scoring import (
+    bounds,
+    collision,
+    comfort,
+    commonroad_cost,
+    fault,
+    imposed,
+    metrics,
+    nuplan,
+    progress,
+    rules,
+)
+from dosplan.scoring.score import min_time_to_collision
 from dosplan.system.provenance import Machine
 from dosplan.types import Score, Sightings, Signals, Tracks
 
@@ -62,13 +74,19 @@ has two p values: `p` takes scenarios as independent, and with one future each i
 test; `p_places` takes places as independent. Both are exact however few groups differ; the
 chi-square tests for pairs in groups (Obuchowski 1998, Durkalski 2003) need many. See
 `dosplan/results/paired.py`."""
-_MODULES: Final = {
+_MODULES: Final[dict[str, Any]] = {
+    "Collisions": collision,
+    "Fault": fault,
+    "The road": bounds,
     "Rules of the road": rules,
     "Progress": progress,
     "nuPlan's score": nuplan,
+    "Comfort": comfort,
+    "Time to collision": min_time_to_collision,
+    "Imposed braking and cut-ins": imposed,
     "CommonRoad's costs": commonroad_cost,
 }
-"""Modules that say more of their metrics than a line of the table."""
+"""What says more of a metric than a line of the table: modules, or a function."""
 _NAMES: Final[dict[Any, str]] = {
     str: "text", bool: "true or false", int: "whole number", float: "number", Any: "anything",
     types.NoneType: "null",
@@ -114,13 +132,13 @@ def metrics_page() -> str:
         for metric in metrics.METRICS
     ]
     table = markdown(headings, rows, numbers=False)
-    sections = (f"## {title}\n\n{_page_text(module)}" for title, module in _MODULES.items())
+    sections = (f"## {title}\n\n{_page_text(told)}" for title, told in _MODULES.items())
     return "\n\n".join([_METRICS_HEAD, table, *sections]) + "\n"
 
 
-def _page_text(module: types.ModuleType) -> str:
-    """What the docstring of a module says, as Markdown."""
-    text = inspect.getdoc(module) or ""
+def _page_text(told: Any) -> str:
+    """What the docstring of a module or a function says, as Markdown."""
+    text = (inspect.getdoc(told) or "").partition("\nArgs:")[0].rstrip()
     return text.replace(" ::\n", ":\n").replace("::\n", ":\n").replace("``", "`")
 
 

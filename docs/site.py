@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import posixpath
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,6 +34,9 @@ _MADE: Final = {"<!-- commands -->": commands_text, "<!-- citation -->": citatio
 """What stands in a page's place of a mark, made when the site is built."""
 _CODE: Final = {".py": "python", ".yaml": "yaml", ".cff": "yaml", ".yml": "yaml", "": "text"}
 """Kinds of files that are shown as code, by the ends of their names."""
+_ELSEWHERE: Final = re.compile(r"<!-- elsewhere -->.*?<!-- end -->\n", re.DOTALL)
+"""What is said to readers of a code host alone."""
+_SPAN: Final = re.compile(r"`[^`\n]+`")
 _LINK: Final = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
 _FENCE: Final = re.compile(r"^(`{3,})[^\n]*\n.*?^\1[ ]*$", re.DOTALL | re.MULTILINE)
 
@@ -73,10 +77,17 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if here.startswith("source/"):
         return markdown
     source = repository_path(here)
+    markdown = _ELSEWHERE.sub("", markdown)
     for mark, make in _MADE.items():
         if mark in markdown:
             markdown = markdown.replace(mark, make())
-    return outside_code(markdown, lambda text: _LINK.sub(lambda m: _turned(m[0], source), text))
+
+    def change(text: str) -> str:
+        # In tables, code hosts want a bar in code escaped, and the site shows the backslash.
+        text = _SPAN.sub(lambda m: m[0].replace("\\|", "|"), text)
+        return _LINK.sub(lambda m: _turned(m[0], source), text)
+
+    return outside_code(markdown, change)
 
 
 def place(path: str) -> str:
@@ -130,7 +141,7 @@ def repository_links(path: str) -> set[str]:
     return {_target(link, path)[0] for link in found if _is_relative(link)}
 
 
-def outside_code(markdown: str, change: Any) -> str:
+def outside_code(markdown: str, change: Callable[[str], str]) -> str:
     """Changes what stands outside fenced code.
 
     Args:

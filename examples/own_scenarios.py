@@ -17,7 +17,7 @@ def busy(ref: dosplan.ScenarioRef, users: int = 5) -> bool:
 
 
 if __name__ == "__main__":
-    source = sys.argv[1] if len(sys.argv) > 1 else "suite"
+    source = sys.argv[1] if len(sys.argv) > 1 else "suite-1"
     found = dosplan.find_scenarios(source)
     chosen = list(itertools.islice(filter(busy, found), 2))
     Path("busy.txt").write_text("\n".join(str(ref.path.absolute()) for ref in chosen))

@@ -1,4 +1,8 @@
-"""Whether the ego's rectangle is on the road: inside the drivable area, or on any lanelet."""
+"""Whether the ego's rectangle is on the road: inside the drivable area, or on any lanelet.
+
+A pose is off the road where a disc of 1 cm fits into what sticks out. What the road is, is among
+the definitions; the road of CommonRoad is the union of all lanelets.
+"""
 
 from __future__ import annotations
 

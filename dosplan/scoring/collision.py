@@ -3,9 +3,10 @@
 Two phases. A broad phase in numpy treats every shape as its bounding rectangle and solves the
 separating-axis test of every road user and step at once; it tells between which fractions of a
 step a contact is possible at all. A narrow phase places the exact shapes in that window, at most
-``RESOLUTION`` of relative motion apart, and asks fcl. A contact is therefore always a true overlap
-of recorded or interpolated poses. Between steps an overlap counts from ``SWEPT_TOUCH`` on, because
-interpolated poses are no more exact than that, and is missed only if it ends within ``RESOLUTION``.
+``RESOLUTION`` (1 cm) of relative motion apart, and asks fcl. A contact is therefore always a true
+overlap of recorded or interpolated poses. Between steps an overlap counts from ``SWEPT_TOUCH``
+(2.5 cm) on, because interpolated poses are no more exact than that, and is missed only if it ends
+within ``RESOLUTION``.
 
 The ego is described here like a road user: a row ``(x, y, heading, velocity)`` of its rectangle's
 centre.

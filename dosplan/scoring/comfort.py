@@ -5,6 +5,12 @@ with quadratic Savitzky-Golay filters over 8 samples for accelerations and 15 fo
 0.1 s. The same is done here, with 7 in place of 8, so that the filter is centred on its sample:
 an input that is held for a step makes steps in the acceleration, whose plain differences are no
 measure of what a passenger feels.
+
+A drive is comfortable where all of it lies within
+
+    -4.05 <= a <= 2.40 m/s2     |a_lat| <= 4.89 m/s2      a_lat = v * yaw rate, at the rear axle
+    |da / dt| <= 4.13 m/s3      |d |(a, a_lat)| / dt| <= 8.37 m/s3
+    |yaw rate| <= 0.95 rad/s    |yaw acceleration| <= 1.93 rad/s2
 """
 
 from __future__ import annotations

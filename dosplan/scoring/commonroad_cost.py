@@ -4,7 +4,20 @@ A cost function is a weighted sum of partial costs, most of them an integral ove
 Source: "CommonRoad: Cost Functions", version 2020a; figures on the CommonRoad website are computed
 by commonroad-drivability-checker (``commonroad_dc.costs``), whose numerical choices are made here
 too where the definition leaves them open: differences of the driven states for derivatives,
-Simpson's rule for integrals.
+Simpson's rule for integrals. The partial costs, integrals being over the drive of duration T:
+
+    T      T                            ID     1 / T
+    A      integral of a^2              L      integral of v
+    J      integral of (da / dt)^2      Jlon   the same
+    Jlat   integral of (d(v * yaw rate) / dt)^2
+    SA     integral of delta^2          SR     integral of (d delta / dt)^2
+    V      integral of (v - v_goal)^2   Vlon   the same
+    LC     integral of d^2              O      integral of (heading - direction of the lane)^2
+    D      integral of exp(-0.2 (gap - r)), greatest over those ahead
+
+with acceleration a, steering angle delta, the offset d of the ego's centre from that of the lane,
+the lowest velocity v_goal that a goal asks for (no cost where none does), the distance gap along
+the route between the centres, and the ego's width over 2.5 as r.
 
 What differs from that checker:
 

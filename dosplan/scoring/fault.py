@@ -4,6 +4,14 @@ Source: nuplan-devkit, ``no_ego_at_fault_collisions`` and its ``collision_utils`
 tried in the order of ``CollisionClass``. nuPlan looks at the first step at which shapes overlap,
 up to 0.1 s into the collision; here the moment of contact is known, and the poses and velocities
 of that moment are judged.
+
+1. Stopped ego: ``|v| <= 0.05 m/s``. Not at fault.
+2. Stopped track: the road user stands, by the same bound. At fault.
+3. Active rear: the road user's centre is more than 150 degrees from the ego's heading, seen from
+   the ego's rear axle. Not at fault, but for a cut-in (``imposed``).
+4. Active front: the ego's front edge touches the road user. At fault.
+5. Active lateral: all else. At fault where no single lane holds all corners of the ego, or where
+   it is off the drivable area.
 """
 
 from __future__ import annotations

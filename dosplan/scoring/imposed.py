@@ -1,6 +1,18 @@
 """What the ego's presence asks of others: how hard they brake for it, and who cuts in.
 
 Both need road users that react. Where all drive as recorded, nobody brakes for the ego.
+
+Imposed braking is what a vehicle loses of its speed over 0.5 s, without what its recording loses
+over the same way, divided by that time. The largest value over all vehicles and steps counts.
+
+A cut-in is judged at the last step at which the ego enters the way of who then runs into it, a
+distance ``gap`` ahead. The follower keeps its speed for ``t = 0.4 s`` and then brakes evenly to the
+ego's speed. With the difference ``dv`` of their speeds it needs
+
+    dv^2 / (2 (gap - dv t))
+
+and the ego is to blame where that is more than 5 m/s2 or nothing would do. Sources: UN Regulation
+157 (5 m/s2 and more is an emergency manoeuvre); UN Regulation 79, 5.6.4.7 (0.4 s).
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -148,6 +150,19 @@ def test_the_first_steps_can_be_gone(
     assert Path("merge.png").stat().st_size > 10_000
     assert {row.future for row in read_rows(Path("runs/futures/scenarios.jsonl"))} == {0, 1}
     assert {row.loop for row in read_rows(Path("runs/late/scenarios.jsonl"))} == {"realistic"}
+
+
+def test_the_pieces_of_the_page_on_reading_results_follow_each_other(tmp_path: Path) -> None:
+    text = PAGE.with_name("reading-results.md").read_text(encoding="utf-8")
+    drive, *pieces = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    for script in (drive, "\n".join(pieces)):
+        (tmp_path / "script.py").write_text(script, encoding="utf-8")
+        command = [sys.executable, "script.py"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    assert "2 scenarios, seed 0" in done.stdout
+    assert "sets of " in done.stdout
+    assert (tmp_path / "episode.png").stat().st_size > 5_000
 
 
 @pytest.mark.parametrize(

@@ -87,6 +87,12 @@ def test_no_mark_of_markdown_is_left_in_a_text(site: Path) -> None:
             assert not left, (path, text)
 
 
+def test_what_is_for_readers_elsewhere_is_left_out_and_bars_are_bars() -> None:
+    page = SimpleNamespace(file=SimpleNamespace(src_uri="loop.md"))
+    text = "a\n<!-- elsewhere -->\nb\n<!-- end -->\nc `x\\|y`\n```sh\necho `a \\| b`\n```\n"
+    assert on_page_markdown(text, page) == "a\nc `x|y`\n```sh\necho `a \\| b`\n```\n"
+
+
 def test_a_link_to_nothing_stops_the_build() -> None:
     page = SimpleNamespace(file=SimpleNamespace(src_uri="loop.md"))
     turned = on_page_markdown("[a](traffic.md#futures), [b](../results/loop/)", page)

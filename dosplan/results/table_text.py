@@ -88,7 +88,8 @@ def csv_table(table: Table) -> str:
     """
     told = ("planner", "predictor", "traffic", "loop", "futures", "seed", "ranked", "n", "places")
     axes = list(dict.fromkeys(a for block in table.blocks for r in block.rows for a in r.values))
-    headings = ["scenarios", "run", "arm", *axes, *told, "baseline"]
+    # An axis may be called as one of the others, as planner.
+    headings = ["scenarios", "run", "arm", *(f"values.{axis}" for axis in axes), *told, "baseline"]
     for name in table.columns:
         headings += [name, f"{name}_low", f"{name}_high"]
         headings += [f"{name}_{part}" for part in _DIFFERENCE]

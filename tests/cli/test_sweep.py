@@ -164,7 +164,7 @@ def test_a_table_is_written_in_every_format(
         assert words in capsys.readouterr().out
     assert main([*command, "--format", "csv", "--json", str(tmp_path / "table.json")]) == OK
     rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
-    assert [row["speed"] for row in rows] == ["steady", "steady", "faster", "faster"]
+    assert [row["values.speed"] for row in rows] == ["steady", "steady", "faster", "faster"]
     assert rows[1]["velocity_difference"] == ""
     assert float(rows[2]["velocity_difference"]) > 0.0
     assert main([*command, "--format", "json"]) == OK

@@ -142,7 +142,7 @@ def test_futures_of_a_scenario_are_one_in_the_test(tmp_path: Path) -> None:
 def test_a_sweep_gives_its_runs_and_tells_what_is_missing(tmp_path: Path) -> None:
     sweep = SweepFolder(tmp_path / "mine")
     runs = tuple(
-        SweepRun(name=f"sets={name}", values={"sets": name}, settings=RunSettings())
+        SweepRun(name=f"sets={name}", values={"sets": name, "planner": "p"}, settings=RunSettings())
         for name in ("union", "free", "late")
     )
     sweep.write(runs)
@@ -159,6 +159,8 @@ def test_a_sweep_gives_its_runs_and_tells_what_is_missing(tmp_path: Path) -> Non
     assert "Not finished, so not here: sets=late." in notes(table)
     by_folder = make_table([str(sweep.path)], baseline=f"{sweep.path}/sets=free:with_dos")
     assert by_folder == table
+    headings = csv_table(table).splitlines()[0].split(",")
+    assert len(set(headings)) == len(headings)
     twice = make_table([str(sweep.path), str(sweep.run(runs[0]))])
     assert len(twice.blocks[0].rows) == 4
     SweepFolder(tmp_path / "none").write(runs)

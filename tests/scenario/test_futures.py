@@ -166,9 +166,7 @@ def test_any_motion_comes_back(
         np.testing.assert_array_equal(read.valid, meant.valid[kept])
         apart = (read.states - meant.states[kept])[read.valid]
         # A full turn is no whole number of grains, so that a heading may be a grain off.
-        assert (
-            np.abs(np.sin(0.5 * apart[:, USER_HEADING])).max() <= 0.51e-4
-        )  # A full turn is no whole number of grains.
+        assert np.abs(np.sin(0.5 * apart[:, USER_HEADING])).max() <= 0.51e-4
         assert np.abs(np.delete(apart, USER_HEADING, axis=1)).max() <= 0.501e-3
 
 

@@ -2,49 +2,29 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        find_spec("sumo") is None or find_spec("libsumo") is None, reason="needs dosplan[suite]"
-    ),
-]
+pytest.importorskip("sumo", reason="needs dosplan[suite]")
+pytest.importorskip("libsumo", reason="needs dosplan[suite]")
 
-CODES = (
-    "HardBrake",
-    "QueueBend",
-    "CutIn",
-    "Zipper",
-    "BusStop",
-    "Narrow",
-    "RoundEntry",
-    "OncomingTurn",
-    "NoYield",
-    "LeftTurn",
-    "AmberTurn",
-    "VanWalker",
-    "Jaywalker",
-    "Door",
-    "PullOut",
-)
+from suitegen.futures.kinds import KINDS
+from suitegen.futures.motion import motions
+from suitegen.futures.scene import scene_of
+from suitegen.futures.simulate import RejectedError, simulate
+from suitegen.plain import compile_network
+
+pytestmark = pytest.mark.slow
+
 DRAWS = 40
 """Futures that are drawn to see all intentions of a scene."""
 TRIES = 12
 
 
-@pytest.mark.parametrize("code", CODES)
+@pytest.mark.parametrize("code", KINDS)
 def test_intentions_part_after_the_branch_and_not_before(code: str, tmp_path: Path) -> None:
-    from suitegen.futures.kinds import KINDS
-    from suitegen.futures.motion import motions
-    from suitegen.futures.scene import scene_of
-    from suitegen.futures.simulate import RejectedError, simulate
-    from suitegen.plain import compile_network
-
     for number in range(TRIES):
         rng = np.random.default_rng([4, number])
         staging = KINDS[code].draw(rng)

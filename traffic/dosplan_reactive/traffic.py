@@ -100,6 +100,9 @@ class ReactiveTraffic(Traffic):
 
         Returns:
             What is recorded until then.
+
+        Raises:
+            ShapeError: Several futures are recorded of the scenario, but not so many.
         """
         chosen = self.chosen
         # Intentions are drawn where they are not recorded.

@@ -95,12 +95,7 @@ def bus_stop(rng: Rng) -> Staging:
         return Act(intention, (slow_down, *acts, *goes_on))
 
     return Staging(
-        Road(
-            Network(nodes, tuple(edges), links),
-            (),
-            (),
-            tags=("urban", "two_lane", "oncoming_traffic"),
-        ),
+        Road(Network(nodes, tuple(edges), links), (), (), tags=TAGS),
         tuple(cast),
         started,
         future,

@@ -41,13 +41,13 @@ from typing import Final
 
 from dosplan_sumo.script import Action, Script, Verb
 
-from suitegen.futures.staging import EGO, Moment
+from suitegen.futures.staging import EGO, FIRST_BRANCH, Moment
 from suitegen.plain import Point
 from suitegen.roads import Rng
 
 START: Final = 3.0
 """Time for which the cast drives before the scenario starts, s."""
-BRANCH: Final = 0.8
+BRANCH: Final = FIRST_BRANCH
 """Time from the ego's start to the scripts of the futures, s."""
 WARMUP: Final = 20.0
 """Time for which the background drives before the cast appears, s."""
@@ -79,22 +79,11 @@ PULLING_OUT: Final = (2.0, 2.8)
 """Bounds of the acceleration of who pulls out, m/s2."""
 
 
-def between(rng: Rng, bounds: tuple[float, float]) -> float:
-    """A uniform draw."""
-    return float(rng.uniform(*bounds))
-
-
 def walking_speed(rng: Rng) -> float:
     """Speed of somebody who walks, m/s."""
     mean, deviation = WALKING
     low, high = WALKING_BOUNDS
     return min(high, max(low, float(rng.normal(mean, deviation))))
-
-
-def chosen(rng: Rng, shares: dict[str, float]) -> str:
-    """One of several intentions, by their shares."""
-    names = list(shares)
-    return str(rng.choice(names, p=[shares[name] for name in names]))
 
 
 def at_time(seconds: float) -> Moment:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,10 +22,9 @@ from .behaviour import (
     TURNING,
     WARMUP,
     at_time,
-    between,
-    chosen,
     halt,
 )
+from .drivers import draw, pick
 
 GAIN = 3.0
 """Acceleration of who does not yield, m/s2."""
@@ -87,7 +87,7 @@ def draw_place(
         )
         for arm, angle in enumerate(angles)
     ]
-    radius, width = between(rng, radii), lanes[-1].width
+    radius, width = draw(rng, radii), lanes[-1].width
     nodes, edges = star(Node("c", (0.0, 0.0), kind, radius), legs)
     kept = {f"a{arm}{way}" for arm in arms for way in "+-"}
     network = Network(
@@ -143,11 +143,36 @@ def _careless(name: str, speed: float, at: float = 0.0) -> Script:
     return Action(at, name, Verb.CARELESS), Action(at, name, Verb.SPEED, speed)
 
 
+def _scene(
+    place: Place,
+    cast: tuple[Actor, ...],
+    pace: Action,
+    futures: Callable[[int, Rng], Act],
+    goal: Spot,
+    oncoming: float = 0.0,
+    warmup: float = WARMUP,
+    tags: tuple[str, ...] = (),
+) -> Staging:
+    """A scene that starts ``START`` after its cast has come, with so many oncoming cars an hour."""
+    flows = (Flow("a2-", "a0+", oncoming, LIGHT_MIX),) if oncoming else ()
+    return Staging(
+        Road(place.network, flows, (), tags=("urban", "intersection", *tags)),
+        cast,
+        at_time(warmup + START),
+        futures,
+        goal,
+        branch=BRANCH,
+        warmup=warmup,
+        seconds=15.0,
+        prelude=(pace,),
+    )
+
+
 def _oncoming_turn(rng: Rng) -> Staging:
     limit = float(rng.choice([50, 60])) * KMH
     place = draw_place(rng, limit, arms=(0, 1, 2) if rng.random() < 0.5 else (0, 1, 2, 3))
     speed = limit * float(rng.uniform(0.85, 1.0))
-    turning = between(rng, TURNING)
+    turning = draw(rng, TURNING)
     kind = str(rng.choice(["car", "car", "van"]))
     # The way of the one who turns, from its stop line until it is in the ego's lane.
     into = 0.64 * place.cut
@@ -158,7 +183,7 @@ def _oncoming_turn(rng: Rng) -> Staging:
     cast = (ego("a2+", speed, met * speed - place.cut - 2.0, place), other)
 
     def futures(_: int, rng: Rng) -> Act:
-        wish = chosen(rng, {"on": 0.4, "across": 0.4, "behind": 0.2})
+        wish = pick(rng, {"on": 0.4, "across": 0.4, "behind": 0.2})
         if wish == "on":
             return Act("goes straight on", (Action(0.0, name, Verb.FREE),))
         route = Action(0.0, name, Verb.ROUTE, edge="a1+")
@@ -169,22 +194,8 @@ def _oncoming_turn(rng: Rng) -> Staging:
         stop = halt(line - BRANCH - 0.2, 7.0)
         return Act("turns left across the ego's way", (route, *turn, stop))
 
-    return Staging(
-        Road(
-            place.network,
-            (Flow("a2-", "a0+", 120.0, LIGHT_MIX),),
-            (),
-            tags=("urban", "intersection", "oncoming_traffic"),
-        ),
-        cast,
-        at_time(WARMUP + START),
-        futures,
-        Spot("a2+", float(rng.uniform(25.0, 40.0))),
-        branch=BRANCH,
-        warmup=WARMUP,
-        seconds=15.0,
-        prelude=(pace,),
-    )
+    goal = Spot("a2+", float(rng.uniform(25.0, 40.0)))
+    return _scene(place, cast, pace, futures, goal, oncoming=120.0, tags=("oncoming_traffic",))
 
 
 def _minor_road(rng: Rng) -> Staging:
@@ -208,28 +219,14 @@ def _minor_road(rng: Rng) -> Staging:
     cast = (ego("a2+", speed, met * speed - place.cut - beyond + 1.0, place), other)
 
     def futures(_: int, rng: Rng) -> Act:
-        if chosen(rng, {"yields": 0.55, "goes": 0.45}) == "yields":
+        if pick(rng, {"yields": 0.55, "goes": 0.45}) == "yields":
             return Act("yields", (Action(0.0, name, Verb.FREE),))
         pull = _careless(name, going * float(rng.uniform(0.95, 1.1)))
         pull = (*pull, Action(goes + 1.0, name, Verb.FREE), halt(0.0, 7.6))
         return Act("does not yield and " + ("turns in" if merges else "crosses"), pull)
 
-    return Staging(
-        Road(
-            place.network,
-            (Flow("a2-", "a0+", 180.0, LIGHT_MIX),),
-            (),
-            tags=("urban", "intersection"),
-        ),
-        cast,
-        at_time(WARMUP + START),
-        futures,
-        Spot("a2+", float(rng.uniform(42.0, 55.0))),
-        branch=BRANCH,
-        warmup=WARMUP,
-        seconds=15.0,
-        prelude=(pace,),
-    )
+    goal = Spot("a2+", float(rng.uniform(42.0, 55.0)))
+    return _scene(place, cast, pace, futures, goal, oncoming=180.0)
 
 
 def _left_turn(rng: Rng) -> Staging:
@@ -247,7 +244,7 @@ def _left_turn(rng: Rng) -> Staging:
     cast = (ego("a3+", speed, before, place), other)
 
     def futures(_: int, rng: Rng) -> Act:
-        wish = chosen(rng, {"keeps": 0.35, "faster": 0.3, "slower": 0.35})
+        wish = pick(rng, {"keeps": 0.35, "faster": 0.3, "slower": 0.35})
         if wish == "keeps":
             return Act("keeps its speed", ())
         if wish == "faster":
@@ -256,17 +253,8 @@ def _left_turn(rng: Rng) -> Staging:
         brake = Action(0.0, name, Verb.BRAKE, float(rng.uniform(3.5, 5.0)), over=2.2)
         return Act("slows down", (brake, Action(3.0, name, Verb.FREE)))
 
-    return Staging(
-        Road(place.network, (), (), tags=("urban", "intersection", "oncoming_traffic")),
-        cast,
-        at_time(WARMUP + START),
-        futures,
-        Spot("a3+", float(rng.uniform(12.0, 20.0))),
-        branch=BRANCH,
-        warmup=WARMUP,
-        seconds=15.0,
-        prelude=(pace,),
-    )
+    goal = Spot("a3+", float(rng.uniform(12.0, 20.0)))
+    return _scene(place, cast, pace, futures, goal, tags=("oncoming_traffic",))
 
 
 def _amber_turn(rng: Rng) -> Staging:
@@ -284,25 +272,18 @@ def _amber_turn(rng: Rng) -> Staging:
     def futures(_: int, rng: Rng) -> Act:
         reaction = MAIN_AMBER - start - BRANCH + float(rng.uniform(0.4, 0.7))
         left = oncoming * (line - BRANCH - reaction)
-        if chosen(rng, {"stops": 0.5, "runs": 0.5}) == "stops":
+        if pick(rng, {"stops": 0.5, "runs": 0.5}) == "stops":
             over = max(2.0 * (left - 0.7) / oncoming, oncoming / STOPPING_AT_AMBER)
             brake = Action(reaction, name, Verb.BRAKE, 0.0, over=over)
             return Act("stops at the amber light", (brake,))
-        run = _careless(name, oncoming * between(rng, RED_RUNNING), reaction)
+        run = _careless(name, oncoming * draw(rng, RED_RUNNING), reaction)
         passes = line + place.cut / oncoming - BRANCH
         waits = halt(0.0, 6.0, max(0.5, passes - speed / 6.0))
         return Act("runs the amber light", (*run, waits))
 
-    return Staging(
-        Road(place.network, (), (), tags=("urban", "intersection", "oncoming_traffic")),
-        cast,
-        at_time(start),
-        futures,
-        Spot("a3+", float(rng.uniform(12.0, 18.0))),
-        branch=BRANCH,
-        warmup=start - START,
-        seconds=15.0,
-        prelude=(pace,),
+    goal = Spot("a3+", float(rng.uniform(12.0, 18.0)))
+    return _scene(
+        place, cast, pace, futures, goal, warmup=start - START, tags=("oncoming_traffic",)
     )
 
 

@@ -7,9 +7,11 @@ from typing import Any, Final
 
 from dosplan_sumo.script import Action, Script, Verb
 
+from suitegen.futures.staging import FIRST_BRANCH
+
 LEAD_IN: Final = 3.0
 """Time that all drive before the scenario starts, s."""
-BRANCH: Final = 0.8
+BRANCH: Final = FIRST_BRANCH
 """From the start until the futures part, s."""
 
 

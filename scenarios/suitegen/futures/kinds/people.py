@@ -24,8 +24,6 @@ from .behaviour import (
     START,
     WARMUP,
     at_time,
-    between,
-    chosen,
     halt,
     setting_off,
     slow,
@@ -33,6 +31,7 @@ from .behaviour import (
     stopping,
     walking_speed,
 )
+from .drivers import draw, pick
 
 EDGE = "m+"
 LENGTH = 340.0
@@ -184,7 +183,7 @@ def _behind_van(rng: Rng) -> Staging:
     speed = street.limit * float(rng.uniform(0.88, 1.05))
     place = float(rng.uniform(120.0, 140.0))
     away = float(rng.uniform(-0.1, 0.3))
-    pace, haste = walking_speed(rng), between(rng, RUNNING)
+    pace, haste = walking_speed(rng), draw(rng, RUNNING)
     walked = bool(rng.random() < 0.25)
     # From where it stands to the way of the ego.
     left = 0.5 * street.width + away - HALF_EGO - PERSON
@@ -202,7 +201,7 @@ def _behind_van(rng: Rng) -> Staging:
     prelude = (Action(2.0 * FIRST, "walker", Verb.WALK, pace, way=(here,)),) if walked else ()
 
     def futures(_: int, rng: Rng) -> Act:
-        wish = chosen(rng, {"waits": 0.4, "walks": 0.35, "runs": 0.1, "looks": 0.15})
+        wish = pick(rng, {"waits": 0.4, "walks": 0.35, "runs": 0.1, "looks": 0.15})
         if wish == "waits":
             return Act("waits behind the van", ())
         if wish == "looks":
@@ -223,7 +222,7 @@ def _jaywalker(rng: Rng) -> Staging:
     speed = street.limit * float(rng.uniform(0.88, 1.0))
     place = float(rng.uniform(140.0, 160.0))
     side = float(rng.choice([-1.0, 1.0]))
-    pace, haste = walking_speed(rng), between(rng, RUNNING)
+    pace, haste = walking_speed(rng), draw(rng, RUNNING)
     # Where the ego's way begins for who comes from this side, and how far before that one waits.
     first = side * (HALF_EGO + PERSON) - 0.5 * street.width
     gap = float(rng.uniform(0.35, 0.8))
@@ -237,7 +236,7 @@ def _jaywalker(rng: Rng) -> Staging:
     prelude = (Action(2.0 * FIRST, "walker", Verb.WALK, pace, way=(here,)),)
 
     def futures(_: int, rng: Rng) -> Act:
-        wish = chosen(rng, {"waits": 0.35, "back": 0.1, "walks": 0.25, "dashes": 0.3})
+        wish = pick(rng, {"waits": 0.35, "back": 0.1, "walks": 0.25, "dashes": 0.3})
         if wish == "waits":
             later = step_out("walker", until + float(rng.uniform(3.5, 5.0)), pace, (beyond,))
             return Act("waits until the ego has passed", (later,))
@@ -258,7 +257,7 @@ def _jaywalker(rng: Rng) -> Staging:
 def _door(rng: Rng) -> Staging:
     street = draw_street(rng, 50 * KMH, cycle=True)
     speed = street.limit * float(rng.uniform(0.85, 1.0))
-    riding = between(rng, CYCLING)
+    riding = draw(rng, CYCLING)
     met = float(rng.uniform(2.8, 4.4))
     swerve = max(BRANCH + 0.1, met - float(rng.uniform(0.45, 0.8)))
     front = 110.0
@@ -286,7 +285,7 @@ def _door(rng: Rng) -> Staging:
     door = begin + float(rng.uniform(5.0, 6.0))
 
     def futures(_: int, rng: Rng) -> Act:
-        wish = chosen(rng, {"straight": 0.45, "swerves": 0.4, "brakes": 0.15})
+        wish = pick(rng, {"straight": 0.45, "swerves": 0.4, "brakes": 0.15})
         if wish == "straight":
             return Act("rides straight on past a closed door", ())
         at = swerve - BRANCH
@@ -317,7 +316,7 @@ def _pull_out(rng: Rng) -> Staging:
     speed = street.limit * float(rng.uniform(0.9, 1.0))
     place = float(rng.uniform(115.0, 130.0))
     size = (4.4, 1.8)
-    gain, reached = between(rng, PULLING_OUT), float(rng.uniform(7.0, 8.5))
+    gain, reached = draw(rng, PULLING_OUT), float(rng.uniform(7.0, 8.5))
     delay = float(rng.uniform(0.2, 1.0))
     car = replace(_parked(street, "leaver", place, size), kind="car")
     stand = -street.kerb - 0.1 - 0.5 * size[1]
@@ -326,7 +325,7 @@ def _pull_out(rng: Rng) -> Staging:
     end = LENGTH - 2.0
 
     def futures(_: int, rng: Rng) -> Act:
-        wish = chosen(rng, {"stays": 0.4, "leaves": 0.4, "noses": 0.2})
+        wish = pick(rng, {"stays": 0.4, "leaves": 0.4, "noses": 0.2})
         if wish == "stays":
             return Act("stays parked", ())
         middle = -0.5 * street.width

@@ -191,6 +191,20 @@ def test_the_plugin_of_a_page_is_checked_and_does_what_the_page_says(
             assert main([command, *arguments]) == 0, (line, capsys.readouterr().err)
 
 
+def test_the_traffic_of_the_page_on_traffic_is_written_checked_and_driven(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = PAGE.with_name("traffic.md").read_text(encoding="utf-8")
+    (commands,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    scenes = write_scenes(tmp_path / "scenes", 1)
+    for line in commands.splitlines():
+        _, command, *arguments = shlex.split(line, comments=True)
+        if command == "run":
+            arguments = [str(scenes), *arguments, "--in-process", "--planner", "cruise"]
+        assert main([command, *arguments]) == 0, (line, capsys.readouterr().err)
+
+
 def test_the_metrics_of_the_page_on_metrics_measure() -> None:
     text = PAGE.with_name("own-metric.md").read_text(encoding="utf-8")
     names: dict[str, Any] = {}

@@ -30,7 +30,7 @@ examples:
   dosplan run my/scenarios --planner mine.py:MyPlanner --with-dos
   dosplan run ZAM_Weaving-2_1_T-1 ZAM_Zebra-7_1_T-1    by their ids; of another --source, too
   dosplan run my/scenarios more.zip              several sources
-  dosplan run --only roundabout --only highway   by a part of the id, or a tag or kind of road
+  dosplan run --only roundabout --only highway   by a part of the id, a tag or a kind
   dosplan run --sample 20 --out runs/s           20 by lot; with 50 then, 30 are driven besides
   dosplan run scenarios.zip --solutions          a CommonRoad solution for each drive, too
   dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
@@ -165,8 +165,8 @@ def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="TEXT|KIND",
-        help="drive those with TEXT in their id, or with such a tag or kind of road, as roundabout "
-        "or highway; given again, those to which one of them applies",
+        help="drive those with TEXT in their id, or of such a tag or kind, as roundabout or "
+        "jaywalker; given again, those to which one of them applies",
     )
     parser.add_argument(
         "--sample",

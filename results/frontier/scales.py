@@ -30,6 +30,8 @@ from dosplan.types import FloatArray
 HERE: Final = Path(__file__).parent
 LEVELS: Final = (0.5, 0.7, 0.8, 0.9, 0.95, 0.99)
 DIGITS: Final = 4  # That a factor is rounded to, significant ones.
+EVERY: Final = 5
+"""Steps from one look to the next."""
 
 _NET: Final = {"predictor": "net"}
 METHODS: Final = (
@@ -119,7 +121,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("recordings", type=Path, help="folder of CommonRoad recordings")
-    parser.add_argument("--every", type=int, default=10, help="steps between two looks (10)")
+    parser.add_argument(
+        "--every", type=int, default=EVERY, help=f"steps between two looks ({EVERY})"
+    )
     parser.add_argument("--out", type=Path, default=HERE / "scales.json", help="file to write")
     options = parser.parse_args(arguments)
     write_json(options.out, measure(options.recordings, options.every))

@@ -43,7 +43,9 @@ def test_every_method_has_every_coverage_in_one_world(runs: tuple[SweepRun, ...]
 
 
 def test_sizes_are_those_that_were_measured(runs: tuple[SweepRun, ...]) -> None:
-    found = read_json(scales.HERE / "scales.json")["factors"]
+    written = read_json(scales.HERE / "scales.json")
+    assert written["every"] == scales.EVERY  # As the command of the page measures.
+    found = written["factors"]
     assert {level for factors in found.values() for level in factors} == LEVELS
     measured = {method.label: method for method in scales.METHODS}
     for run in runs:

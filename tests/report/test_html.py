@@ -25,7 +25,7 @@ from dosplan.report.html.codec import METRE, differences, pack, polyline
 from dosplan.report.html.coverage import predictions_of, sets_met, total
 from dosplan.report.html.player import encode_episode
 from dosplan.report.html.predictions import prediction_blocks
-from dosplan.report.html.scenarios import families
+from dosplan.report.html.scenarios import families, find_scenes
 from dosplan.report.html.write import write_report
 from dosplan.report.road_paint import LAMP_COLOURS, SIGN_RED
 from dosplan.results.drive import Drive
@@ -59,6 +59,7 @@ from tests.support.scenes import (
     straight_road,
     write_scenario_xml,
 )
+from tests.support.suite import FUTURES_SUITE, manifest
 from tests.support.traffic import ShyTraffic, braking_before, followed
 
 COAST = ["--planner", f"{PLUGINS}:CoastPlanner", "--predictor", "constant-velocity"]
@@ -252,6 +253,14 @@ def test_families_are_places_or_their_countries() -> None:
     ids = [*(f"DEU_Muc-{i}_1_T-1" for i in range(4)), "DEU_Ffb-1_1_T-1", "C-USA_US101-1_1_T-1"]
     found = families(ids)
     assert [found[i] for i in ids] == [*["DEU_Muc"] * 4, "DEU", "USA"]
+
+
+def test_scenarios_of_several_suites_are_of_the_suites_kinds() -> None:
+    ids = {row["kind"]: row["id"] for row in manifest(FUTURES_SUITE)}
+    for source in ("suite", ("suite", "suite-1")):
+        scenes = find_scenes(source, cached=True)
+        assert {kind: scenes.kind(name, None) for kind, name in ids.items()} == {k: k for k in ids}
+    assert scenes.kind("ZAM_Zebra-1_1_T-1", None) == "pedestrian crossing"
 
 
 def test_changes_have_their_words() -> None:
@@ -505,8 +514,8 @@ def test_groups_of_one_meaning_are_shown_once() -> None:
         cases = [Case(row.scenario_future, family, road, *rest) for road, family in pairs]
         return [title for title, _ in page.group_tables(cases, 1)]
 
-    assert titles([("urban", "DEU"), ("rural", "USA"), ("urban", "DEU")]) == ["Road kind"]
-    assert titles([("urban", "DEU"), ("urban", "USA")]) == ["Road kind", "Family"]
+    assert titles([("urban", "DEU"), ("rural", "USA"), ("urban", "DEU")]) == ["Kind"]
+    assert titles([("urban", "DEU"), ("urban", "USA")]) == ["Kind", "Family"]
 
 
 def test_a_missed_goal_is_told_by_how_much(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ class Case:
     Attributes:
         driven: Its id and the future.
         family: Where it comes from.
-        road_kind: Its kind of road.
+        kind: What happens in it, or its kind of road.
         change: What the second side changed: ``fixed``, ``broken``, ``both failed``, ``both
             succeeded``; for one side ``failed`` or ``succeeded``.
         rows: The row of each side.
@@ -76,7 +76,7 @@ class Case:
 
     driven: ScenarioFuture
     family: str
-    road_kind: str
+    kind: str
     change: str
     rows: tuple[Score, ...]
     why: tuple[str, ...]
@@ -145,7 +145,7 @@ def _case(pairing: Pairing, driven: ScenarioFuture, family: str, examined: bool)
     return Case(
         driven=driven,
         family=family,
-        road_kind=pairing.scenes.road_kind(scenario, scene),
+        kind=pairing.scenes.kind(scenario, scene),
         change=change_of(rows),
         rows=rows,
         why=tuple(_why(row, one, drive) for row, one, drive in zip(rows, met, drives, strict=True)),

@@ -120,7 +120,7 @@ def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
 
 
 def group_tables(cases: Sequence[Case], sides: int) -> list[tuple[str, list[dict[str, Any]]]]:
-    """Breaks outcomes down by road kind, and by family unless that is the same by another name.
+    """Breaks outcomes down by kind, and by family unless that is the same by another name.
 
     Args:
         cases: The cases.
@@ -129,9 +129,9 @@ def group_tables(cases: Sequence[Case], sides: int) -> list[tuple[str, list[dict
     Returns:
         Titles, with rows as of ``findings.groups``.
     """
-    pairs = {(case.road_kind, case.family) for case in cases}
+    pairs = {(case.kind, case.family) for case in cases}
     kinds, families = ({pair[i] for pair in pairs} for i in (0, 1))
-    found = [("Road kind", findings.groups(cases, lambda case: case.road_kind, sides))]
+    found = [("Kind", findings.groups(cases, lambda case: case.kind, sides))]
     if not len(pairs) == len(kinds) == len(families):
         found.append(("Family", findings.groups(cases, lambda case: case.family, sides)))
     return found
@@ -211,7 +211,7 @@ def _row(case: Case, several: bool) -> dict[str, Any]:
         "id": case.driven.scenario,
         "future": case.driven.future if several else None,
         "family": case.family,
-        "road": case.road_kind,
+        "road": case.kind,
         "change": case.change,
         "thumb": case.thumbnail,
         "sides": [

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
@@ -35,13 +36,13 @@ class Scenes:
 
     Attributes:
         refs: The files by id; those that were not found are left out.
-        road_kinds: Road kinds by id, where a list of them comes with the files.
+        kinds: Their kinds by id, where a list of them comes with the files.
         problem: Why nothing was found, in a line, or None.
         cached: Whether parsed scenarios are taken from the cache and put there.
     """
 
     refs: Mapping[str, ScenarioRef]
-    road_kinds: Mapping[str, str]
+    kinds: Mapping[str, str]
     problem: str | None = None
     cached: bool = True
 
@@ -62,8 +63,8 @@ class Scenes:
         except ScenarioError:
             return None
 
-    def road_kind(self, scenario: str, scene: Scenario | None) -> str:
-        """Names the kind of road.
+    def kind(self, scenario: str, scene: Scenario | None) -> str:
+        """Names the kind of a scenario: what happens in it, or on what road.
 
         Args:
             scenario: Id of the scenario.
@@ -74,7 +75,7 @@ class Scenes:
         """
         tags = frozenset[str]() if scene is None else scene.tags
         tag = next((tag for tag in ROAD_TAGS if tag in tags), OTHER)
-        return self.road_kinds.get(scenario, tag.replace("_", " "))
+        return self.kinds.get(scenario, tag.replace("_", " "))
 
 
 def find_scenes(source: Source, cached: bool) -> Scenes:
@@ -91,7 +92,8 @@ def find_scenes(source: Source, cached: bool) -> Scenes:
         refs = find_scenarios(source)
     except (ScenarioError, OSError) as error:
         return Scenes({}, {}, " ".join(str(error).split()), cached)
-    kinds = suite_kinds() if source in SUITES else {}
+    named = [source] if isinstance(source, str | Path) else source
+    kinds = suite_kinds() if any(one in SUITES for one in named) else {}
     return Scenes({ref.id: ref for ref in refs}, kinds, cached=cached)
 
 

@@ -22,6 +22,8 @@ from pymdownx.slugs import slugify
 
 from docs.citation import citation_text
 from docs.commands import commands_text
+from docs.notebooks import PAGES as NOTEBOOKS
+from docs.notebooks import notebook
 
 ROOT: Final = Path(__file__).parents[1]
 HOME: Final = "README.md"
@@ -57,6 +59,8 @@ def on_files(files: Files, config: Any) -> Files:
         file = File.generated(config, place(path), content=(ROOT / path).read_text("utf-8"))
         files.append(file)
         sources[path] = file
+    for name in NOTEBOOKS:
+        files.append(File.generated(config, f"{name}.ipynb", content=notebook(name)))
     linked = {target for path in sources for target in repository_links(path)}
     for path in sorted(linked - sources.keys()):
         if not (ROOT / path).is_file():
@@ -87,7 +91,13 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         text = _SPAN.sub(lambda m: m[0].replace("\\|", "|"), text)
         return _LINK.sub(lambda m: _turned(m[0], source), text)
 
-    return outside_code(markdown, change)
+    markdown = outside_code(markdown, change)
+    name = here.removesuffix(".md")
+    if name in NOTEBOOKS:
+        title, rest = markdown.split("\n", 1)
+        link = f"[This page as a notebook]({name}.ipynb){{ download }}"
+        markdown = f"{title}\n\n{link}\n{rest}"
+    return markdown
 
 
 def place(path: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import shlex
 import subprocess
@@ -16,6 +18,7 @@ import numpy as np
 import pytest
 
 import dosplan.scoring.score
+from docs.notebooks import notebook
 from docs.pictures import PICTURES
 from docs.schema import METRICS_PAGE, PAGE, metrics_page, page_with_tables
 from dosplan.cli.main import main
@@ -152,17 +155,40 @@ def test_the_first_steps_can_be_gone(
     assert {row.loop for row in read_rows(Path("runs/late/scenarios.jsonl"))} == {"realistic"}
 
 
-def test_the_pieces_of_the_page_on_reading_results_follow_each_other(tmp_path: Path) -> None:
-    text = PAGE.with_name("reading-results.md").read_text(encoding="utf-8")
-    drive, *pieces = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    for script in (drive, "\n".join(pieces)):
-        (tmp_path / "script.py").write_text(script, encoding="utf-8")
-        command = [sys.executable, "script.py"]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+def test_the_notebook_on_reading_results_runs(tmp_path: Path) -> None:
+    pieces = _pieces("reading-results")
+    file, first, *_ = pieces
+    assert file.startswith("%%writefile drive.py\n")
+    assert first == "!python drive.py"
+    (tmp_path / "drive.py").write_text(file.partition("\n")[2], encoding="utf-8")
+    (tmp_path / "read.py").write_text("\n".join(pieces[2:]), encoding="utf-8")
+    for script in ("drive.py", "read.py"):
+        done = subprocess.run(
+            [sys.executable, script], cwd=tmp_path, env={**os.environ, "MPLBACKEND": "agg"},
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
         assert done.returncode == 0, done.stderr
     assert "2 scenarios, seed 0" in done.stdout
     assert "sets of " in done.stdout
     assert (tmp_path / "episode.png").stat().st_size > 5_000
+
+
+def test_a_notebook_has_the_text_and_the_code_of_its_page() -> None:
+    page = PAGE.with_name("own-planner.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n# mine.py\n(.*?)```", page, re.DOTALL)
+    commands = re.findall(r"```sh\n(.*?)```", page, re.DOTALL)
+    file, *shell = _pieces("own-planner")
+    assert file == f"%%writefile mine.py\n{code}".strip()
+    lines = "".join(commands).splitlines()
+    assert "\n".join(shell).splitlines() == [f"!{line}" for line in lines]
+    text = json.loads(notebook("own-planner"))["cells"]
+    assert text[0]["source"][0] == "# Your own planner\n"
+    assert not any("](rules.md)" in line for cell in text for line in cell["source"])
+
+
+def _pieces(page: str) -> list[str]:
+    cells = json.loads(notebook(page))["cells"]
+    return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
 
 
 @pytest.mark.parametrize(

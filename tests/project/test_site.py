@@ -21,6 +21,7 @@ pytest.importorskip("mkdocstrings", reason="the extra docs is not installed")
 
 from mkdocs.exceptions import PluginError
 
+from docs.notebooks import PAGES as NOTEBOOKS
 from docs.site import on_page_markdown
 
 ROOT = Path(__file__).parents[2]
@@ -44,6 +45,9 @@ def test_every_page_of_docs_is_reached_from_the_navigation(site: Path) -> None:
     shown = set(re.findall(r'href="([^"#:]+\.html)"', (site / "index.html").read_text("utf-8")))
     pages = {path.relative_to(ROOT / "docs") for path in (ROOT / "docs").rglob("*.md")}
     assert {path.with_suffix(".html").as_posix() for path in pages} <= shown
+    for name in NOTEBOOKS:
+        assert (site / f"{name}.ipynb").is_file()
+        assert f'href="{name}.ipynb"' in (site / f"{name}.html").read_text("utf-8")
     results = {path.parent.name for path in ROOT.glob("results/*/README.md")}
     assert {f"results/{name}/index.html" for name in results} <= shown
 

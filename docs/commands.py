@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Iterator
 
 from dosplan.cli.main import EXIT_CODES, make_parser
@@ -72,6 +73,7 @@ def _help(parser: argparse.ArgumentParser, action: argparse.Action) -> str:
     if not action.help:
         return ""
     text = parser._get_formatter()._expand_help(action)
+    text = re.sub(r", here \d+", "", text)  # Of the machine that builds the site.
     return _escaped(" ".join(text.split()))
 
 

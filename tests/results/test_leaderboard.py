@@ -19,6 +19,7 @@ from dosplan.results.leaderboard import (
 )
 from dosplan.results.leaderboard_page import leaderboard_page
 from dosplan.results.scenario_sets import known_sets
+from dosplan.running.sweep import read_sweep
 from dosplan.scoring.score import failed_score
 from dosplan.system.provenance import content_digest
 from dosplan.types import Arm, EpisodeKey, Outcome, Score
@@ -166,6 +167,18 @@ def test_rows_are_compared_with_the_newest_built_in_mpc_over_the_same_episodes()
     (shown,) = (line for line in page.splitlines() if line.startswith("| mpc-v10"))
     assert shown.endswith("| - | - |")
     assert "minus `mpc`" not in leaderboard_page([row("mine", other)])
+
+
+@pytest.mark.parametrize("name", ["built-in", "others"])
+def test_the_sweeps_of_the_leaderboard_drive_whole_sets_ranked(name: str) -> None:
+    runs = read_sweep(ROOT / "results" / "leaderboard" / f"{name}.yaml")
+    futures = {one.name: one.futures for one in known_sets()}
+    for run in runs:
+        config = run.settings
+        assert config.ranked
+        assert (config.ids, config.only, config.sample, config.limit) == ((), (), None, None)
+        assert config.futures == futures[str(config.source)]
+    assert {run.settings.loop for run in runs} == {"ideal", "realistic"}
 
 
 def test_the_sets_are_the_suites_and_the_published_recordings() -> None:

@@ -121,16 +121,13 @@ def _trip(actor: Actor, warmup: float) -> Element:
         trip.set("via", " ".join(through))
     for stop in actor.stops:
         spot = stop.at
-        element = SubElement(
+        SubElement(
             trip,
             "stop",
             lane=f"{spot.edge}_{spot.lane}",
             startPos=f"{spot.position - 0.5:.2f}",
             endPos=f"{spot.position:.2f}",
             posLat=f"{stop.lateral:.2f}",
+            duration=f"{FOR_EVER:.1f}",
         )
-        if stop.until is None:
-            element.set("duration", f"{FOR_EVER:.1f}")
-        else:
-            element.set("until", f"{warmup + stop.until:.2f}")
     return trip

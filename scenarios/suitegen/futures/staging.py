@@ -40,17 +40,14 @@ class Spot:
 
 @dataclass(frozen=True)
 class Stop:
-    """Where a vehicle stands for a while.
+    """Where a vehicle stands until a script has it start.
 
     Attributes:
         at: Where its front bumper stands.
-        until: Time at which it goes on, s, counted as ``Actor.depart``; None where it stands until
-            a script has it start.
         lateral: Its middle, to the left of the lane's middle, m.
     """
 
     at: Spot
-    until: float | None = None
     lateral: float = 0.0
 
 
@@ -145,40 +142,3 @@ class Kind:
     intentions: str
     interplan: str
     new: str
-
-
-def way_to(sumo: Any, actor: str, spot: Spot) -> float:
-    """Way along its route from a vehicle to a place.
-
-    Args:
-        sumo: SUMO's library.
-        actor: Name of the vehicle.
-        spot: The place.
-
-    Returns:
-        m; infinite where it is not on the road, or has passed the place or never comes there.
-    """
-    if actor not in sumo.vehicle.getIDList():
-        return float("inf")
-    way = float(sumo.vehicle.getDrivingDistance(actor, spot.edge, spot.position, spot.lane))
-    return way if way >= 0.0 else float("inf")
-
-
-def within(actor: str, spot: Spot, metres: float) -> Moment:
-    """The moment at which a vehicle is so near to a place on its way."""
-    return lambda sumo: way_to(sumo, actor, spot) <= metres
-
-
-def seconds_before(actor: str, spot: Spot, seconds: float) -> Moment:
-    """The moment from which a vehicle that keeps its speed needs so long to a place."""
-
-    def moment(sumo: Any) -> bool:
-        way = way_to(sumo, actor, spot)
-        return bool(way < float("inf") and way <= seconds * sumo.vehicle.getSpeed(actor))
-
-    return moment
-
-
-def both(one: Moment, other: Moment) -> Moment:
-    """The moment at which both hold."""
-    return lambda sumo: one(sumo) and other(sumo)

@@ -23,6 +23,7 @@ from dosplan.running.sweep import read_sweep
 from dosplan.scoring.score import failed_score
 from dosplan.system.provenance import content_digest
 from dosplan.types import Arm, EpisodeKey, Outcome, Score
+from tests.support.peers import is_missing
 
 ROOT = Path(__file__).parents[2]
 HIT, MISS, CRASH, FAIL = (
@@ -171,6 +172,8 @@ def test_rows_are_compared_with_the_newest_built_in_mpc_over_the_same_episodes()
 
 @pytest.mark.parametrize("name", ["built-in", "others"])
 def test_the_sweeps_of_the_leaderboard_drive_whole_sets_ranked(name: str) -> None:
+    if name == "others" and any(map(is_missing, ("reactive", "frenetix", "wale-net"))):
+        pytest.skip("the extras peers and wale-net are not all installed")
     runs = read_sweep(ROOT / "results" / "leaderboard" / f"{name}.yaml")
     futures = {one.name: one.futures for one in known_sets()}
     for run in runs:

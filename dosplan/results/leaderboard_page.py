@@ -29,10 +29,10 @@ predictor of yours comes in here: [submit.md](submit.md).
 
 - **A row** is one arm of a run: *with DOS* the planner is handed the predictor's sets, *without
   DOS* its points alone.
-- **Order**: by success; among equals by fewer collisions that the ego is to blame for, then by
-  velocity. Success comes first as no planner gets it by giving something else away: it asks for a
-  safe drive *and* for the goal within its time. By safety alone a car that never starts would win,
-  and by velocity one that looks at nobody.
+- **Order**: by success; among equals by safety, then by fewer collisions that the ego is to blame
+  for, then by velocity. Success comes first as no planner gets it by giving something else away: it
+  asks for a safe drive *and* for the goal within its time. By safety alone a car that never starts
+  would win, and by velocity one that looks at nobody.
 - **Intervals** in brackets are of 95 %; they take into account which episodes are of one scenario,
   and which scenarios of one place. Rows whose intervals overlap may stand the other way round in
   other scenarios; paired differences are the sharper test.
@@ -78,11 +78,10 @@ class _Line:
     @property
     def rank(self) -> tuple[Any, ...]:
         """What the rows of a block are sorted by."""
-        success, blamed, velocity = (
-            self.result.figures[name].value or 0.0
-            for name in ("success", "at_fault_collision", "velocity")
+        success, safe, blamed, velocity = (
+            self.result.figures[name].value or 0.0 for name in COLUMNS
         )
-        return (-success, blamed, -velocity, self.of.title, self.arm)
+        return (-success, -safe, blamed, -velocity, self.of.title, self.arm)
 
     @property
     def version(self) -> tuple[int, ...] | None:
@@ -109,7 +108,7 @@ def _block(members: Sequence[Submission]) -> Iterator[str]:
     shown = [find_metric(name) for name in COLUMNS]
     compared = [] if base is None else [find_metric(name) for name in COMPARED]
     headings = ["Run", "Arm", *(metric.heading for metric in shown)]
-    headings += [f"{metric.heading}, minus `mpc`" for metric in compared]
+    headings += [f"{metric.short} minus `mpc`, points" for metric in compared]
     rows = []
     for line in lines:
         found = _differences(line, base)

@@ -105,7 +105,7 @@ def test_a_row_that_is_written_is_read_as_it_was(tmp_path: Path) -> None:
     assert found.arms[Arm.WITH_DOS].figures["velocity"].value == pytest.approx(5.25)
 
 
-def test_success_comes_first_then_blame_then_velocity() -> None:
+def test_success_comes_first_then_safety_then_blame_then_velocity() -> None:
     page = leaderboard_page(
         [
             row("slow", [HIT, HIT, MISS], speed=2.0),
@@ -116,7 +116,7 @@ def test_success_comes_first_then_blame_then_velocity() -> None:
             row("best", [HIT, HIT, HIT], speed=1.0),
         ]
     )
-    assert names(page) == ["best", "fast", "struck", "slow", "blamed", "standing"]
+    assert names(page) == ["best", "fast", "slow", "struck", "blamed", "standing"]
 
 
 def test_each_set_and_world_has_a_block() -> None:

@@ -65,8 +65,10 @@ class FiguresCommand:
         from dosplan.system.files import FileError
 
         if options.runs:
-            png, pdf = write_frontier(options.runs, options.out)
+            png, pdf, cautions = write_frontier(options.runs, options.out)
             print(f"{png} and {pdf.name}")
+            for line in cautions:
+                print(f"dosplan: {FRONTIER}: {line}", file=sys.stderr)
         published = Published(options.results or default_results())
         code = OK
         for name in dict.fromkeys(options.names or ([] if options.runs else FIGURES)):

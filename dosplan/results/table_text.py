@@ -190,6 +190,22 @@ def _named(block: Block) -> dict[str, Callable[[Row], str]]:
     }
 
 
+def cautions(table: Table) -> list[str]:
+    """Says what is not as it looks: runs that are left out, and what speaks against comparing.
+
+    Args:
+        table: The table.
+
+    Returns:
+        The cautions, each a line.
+    """
+    lines = [warning for block in table.blocks for warning in block.warnings]
+    if table.missing:
+        more = f" and {len(table.missing) - 3} more" if len(table.missing) > 3 else ""
+        lines.append(f"Not finished, so not here: {', '.join(table.missing[:3])}{more}.")
+    return lines
+
+
 def notes(table: Table) -> list[str]:
     """Says how a table is to be read.
 
@@ -215,10 +231,7 @@ def notes(table: Table) -> list[str]:
         lines.append(
             "*: not ranked, as the predictor may see the future or the run cannot be repeated."
         )
-    lines += [warning for block in table.blocks for warning in block.warnings]
-    if table.missing:
-        more = f" and {len(table.missing) - 3} more" if len(table.missing) > 3 else ""
-        lines.append(f"Not finished, so not here: {', '.join(table.missing[:3])}{more}.")
+    lines += cautions(table)
     if alone := [block.title for block in table.blocks if block.baseline is None]:
         lines.append(f"Without the baseline: {'; '.join(alone)}.")
     return lines

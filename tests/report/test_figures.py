@@ -35,9 +35,11 @@ from dosplan.report.figures.sources import Z95, Published
 from dosplan.report.figures.style import save
 from dosplan.results.comparison import CompareError
 from dosplan.results.intervals import metric_interval
+from dosplan.results.manifest import RunSettings
 from dosplan.results.paired import Difference
 from dosplan.results.published import default_results
 from dosplan.results.rows import read_rows, write_rows
+from dosplan.results.sweeps import SweepFolder, SweepRun
 from dosplan.results.table import Block, Row, Table
 from dosplan.results.table import Figure as Figured
 from dosplan.scenario import find_scenarios, load_scenario
@@ -527,6 +529,12 @@ def test_the_frontier_is_drawn_of_the_runs_after_its_name(
     assert main(["figures", "frontier", *runs, *out]) == OK
     assert sorted(path.name for path in tmp_path.iterdir()) == ["frontier.pdf", "frontier.png"]
     assert "frontier.png and frontier.pdf" in capsys.readouterr().out
+    sweep = SweepFolder(tmp_path / "sweep")
+    names = ("method=union", "method=free")
+    sweep.write(tuple(SweepRun(name=name, settings=RunSettings()) for name in names))
+    shutil.copytree(SHIPPED / "recorded", tmp_path / "sweep" / names[0])
+    assert main(["figures", "frontier", str(sweep.path), *out]) == OK
+    assert "frontier: Not finished, so not here: method=free." in capsys.readouterr().err
     assert main(["figures", "frontier", "no/such", *out]) == BAD_INPUT
     assert "no/such is not a run folder" in capsys.readouterr().err
     with pytest.raises(SystemExit) as stop:

@@ -10,6 +10,7 @@ from dosplan.report.figures import FRONTIER, frontier
 from dosplan.report.figures.sources import Published
 from dosplan.report.figures.style import save, styled
 from dosplan.results.table import make_table
+from dosplan.results.table_text import cautions
 
 
 def write_figure(name: str, published: Published, out: Path) -> tuple[Path, Path]:
@@ -33,7 +34,7 @@ def write_figure(name: str, published: Published, out: Path) -> tuple[Path, Path
         return save(module.draw(published), out, name)
 
 
-def write_frontier(specs: Sequence[str], out: Path) -> tuple[Path, Path]:
+def write_frontier(specs: Sequence[str], out: Path) -> tuple[Path, Path, list[str]]:
     """Draws the frontier of runs and writes it as PNG and as PDF.
 
     Args:
@@ -41,7 +42,7 @@ def write_frontier(specs: Sequence[str], out: Path) -> tuple[Path, Path]:
         out: Folder of the files; it is made.
 
     Returns:
-        The PNG and the PDF.
+        The PNG, the PDF, and what of the runs is not as it looks, a line each.
 
     Raises:
         CompareError: The runs are not of one world and the same scenarios, or none is finished.
@@ -49,4 +50,4 @@ def write_frontier(specs: Sequence[str], out: Path) -> tuple[Path, Path]:
     """
     table = make_table(specs, columns=frontier.COLUMNS)
     with styled():
-        return save(frontier.draw(table), out, FRONTIER)
+        return *save(frontier.draw(table), out, FRONTIER), cautions(table)

@@ -96,6 +96,10 @@ def write_rows(path: Path, rows: Iterable[Score]) -> None:
         file.writelines(row_line(row).encode() for row in rows)
 
 
+class UnfinishedError(FileError):
+    """A run that has not driven all its episodes; the message is one line."""
+
+
 def read_run(path: Path) -> tuple[RunManifest, list[Score]]:
     """Reads a finished run.
 
@@ -106,6 +110,7 @@ def read_run(path: Path) -> tuple[RunManifest, list[Score]]:
         ``run.json`` and the rows.
 
     Raises:
+        UnfinishedError: Rows are missing.
         FileError: It is not a run folder, or its rows are not those of its episodes.
     """
     folder = RunFolder(path)
@@ -114,7 +119,9 @@ def read_run(path: Path) -> tuple[RunManifest, list[Score]]:
     wanted = set(manifest.episodes)
     held = {row.key for row in rows}
     if missing := len(wanted - held):
-        raise FileError(f"{path} lacks {missing} episodes: run the same command again to resume it")
+        raise UnfinishedError(
+            f"{path} lacks {missing} episodes: run the same command again to resume it"
+        )
     if len(rows) > len(wanted):
         raise FileError(
             f"{folder.rows} holds {len(rows) - len(wanted)} rows too many: "

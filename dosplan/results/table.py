@@ -19,14 +19,13 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.intervals import Interval, metric_interval
 from dosplan.results.manifest import SCENARIO_FILES, RunManifest
 from dosplan.results.paired import Difference
-from dosplan.results.rows import read_run
+from dosplan.results.rows import UnfinishedError, read_run
 from dosplan.results.summary import read_summary
 from dosplan.results.sweeps import SweepFolder
 from dosplan.scenario.sources.catalogue import source_text
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Metric
 from dosplan.system.errors import did_you_mean
-from dosplan.system.files import FileError
 from dosplan.system.typed import plain
 from dosplan.types import Arm, place_of
 
@@ -290,9 +289,14 @@ def read_entries(specs: Sequence[str]) -> tuple[list[Entry], tuple[str, ...]]:
         else:
             read = []
             for run in sweep.read():
+                path = sweep.run(run)
                 try:
-                    read += _entries(sweep.run(run), run.name, run.values)
-                except FileError:
+                    begun = RunFolder(path).manifest.is_file()
+                    own = _entries(path, run.name, run.values) if begun else []
+                except UnfinishedError:
+                    own = []
+                read += own
+                if not own:
                     missing.append(run.name)
         for entry in read:
             if arm in (None, entry.side.arm):

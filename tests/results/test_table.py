@@ -19,7 +19,7 @@ from dosplan.results.table import make_table
 from dosplan.results.table_text import csv_table, latex_table, markdown_table, notes
 from dosplan.scoring.metrics import find_metric
 from dosplan.scoring.score import failed_score
-from dosplan.system.files import write_json
+from dosplan.system.files import FileError, write_json
 from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
 HIT, MISS, CRASH = Outcome.SUCCESS, Outcome.GOAL_MISSED, Outcome.COLLISION
@@ -163,6 +163,10 @@ def test_a_sweep_gives_its_runs_and_tells_what_is_missing(tmp_path: Path) -> Non
     assert len(set(headings)) == len(headings)
     twice = make_table([str(sweep.path), str(sweep.run(runs[0]))])
     assert len(twice.blocks[0].rows) == 4
+    # What is damaged is not just unfinished.
+    (sweep.run(runs[2]) / "run.json").write_text("{}")
+    with pytest.raises(FileError, match="of this version"):
+        make_table([str(sweep.path)])
     SweepFolder(tmp_path / "none").write(runs)
     with pytest.raises(CompareError, match=r"no run of .*none is finished"):
         make_table([str(tmp_path / "none")])

@@ -266,6 +266,7 @@ def watch(
     *,
     loop: LoopSettings = IDEAL,
     seed: int = 0,
+    future: int = 0,
 ) -> Iterator[Observation]:
     """Walks through a recording, from step 0 to its end.
 
@@ -278,11 +279,16 @@ def watch(
         history: Steps that an observation shows, the present one included.
         loop: What the ego sees of the road users.
         seed: Seed of the errors of what it sees.
+        future: Which of the recorded futures comes.
 
     Yields:
         The observations.
+
+    Raises:
+        ShapeError: So many futures are not recorded.
     """
-    world = World(scenario, Replay(seed=seed), first_step=0, history=history, loop=loop)
+    traffic = Replay(seed=seed, future=future)
+    world = World(scenario, traffic, first_step=0, history=history, loop=loop)
     for step in range(scenario.tracks.steps):
         if step:
             world.wait()

@@ -45,8 +45,24 @@ class TrainCommand:
         parser.add_argument(
             "--validation",
             type=Path,
+            action="append",
             metavar="CACHE",
-            help="windows to select on; not for calibration",
+            help="windows to select on; not for calibration (repeatable: they count the same)",
+        )
+        parser.add_argument(
+            "--unseen",
+            type=Path,
+            action="append",
+            default=[],
+            metavar="CACHE",
+            help="for dos: more windows to learn from, of recordings that the network was not "
+            "trained on; its own errors count (repeatable)",
+        )
+        parser.add_argument(
+            "--init",
+            type=Path,
+            metavar="DIR",
+            help="for net and dos: begin from the weights of this folder, not from random ones",
         )
         parser.add_argument(
             "--out", type=Path, required=True, metavar="DIR", help="weights, logs, checkpoints"
@@ -85,6 +101,12 @@ class TrainCommand:
 
         if (options.validation is None) != (options.what == "calibration"):
             raise CommandError("--validation CACHE is needed, but for calibration, which has none")
+        if options.unseen and options.what != "dos":
+            raise CommandError(
+                "--unseen is for dos alone; give other trainings the cache as --data"
+            )
+        if options.init is not None and options.what not in ("net", "dos"):
+            raise CommandError(f"--init is for net and dos; {options.what} begins anew")
         torch.set_num_threads(options.threads)
         train = {
             "net": train_network,
@@ -164,7 +186,16 @@ def _train_sets(options: argparse.Namespace) -> None:
     names = chosen_parts(options.only, list(config.modules))
     network = network_folder(options)
     trained = train_sets(
-        names, config, options.data, options.validation, network, options.out, say, options.device
+        names,
+        config,
+        options.data,
+        options.validation,
+        network,
+        options.out,
+        say,
+        options.device,
+        unseen=options.unseen,
+        init=options.init,
     )
     for name, figures in trained:
         say_best(name, figures)

@@ -77,6 +77,27 @@ class CoverageLoss(SetLoss):
         self.register_buffer("log_multiplier", torch.zeros(steps))
         self.register_buffer("unit", 0.3 + 4.0 * grid_seconds() ** 2)
 
+    def balance(self, sets: Ellipses | Unions, error: Tensor, valid: Tensor) -> None:
+        """Sets the multipliers under which these sets are neither to grow nor to shrink.
+
+        Trained sets are under such ones; the loss of a training that begins from them would
+        otherwise begin by making them larger, as its first multipliers are those for small sets.
+
+        Args:
+            sets: B x G sets.
+            error: See ``forward``.
+            valid: See ``forward``.
+        """
+        distance = sets.distance(error).detach().clamp(max=FARTHEST)
+        with torch.enable_grad():
+            factor = torch.ones_like(self.unit, requires_grad=True)
+            area = (sets.area_scaled(factor) / self.unit * valid).sum()
+            missed = (torch.sigmoid(STEEPNESS * (distance / factor).log()) * valid).sum()
+            (growth,) = torch.autograd.grad(area, factor)
+            (gain,) = torch.autograd.grad(missed, factor)
+        balanced = growth / (10.0 * -gain).clamp(min=1e-6)
+        self.log_multiplier.copy_(balanced.clamp(min=1e-3).log())
+
     def forward(self, sets: Ellipses | Unions, error: Tensor, valid: Tensor) -> Tensor:
         """See ``SetLoss.forward``; of unions, ``error`` is the true centre itself, m."""
         logarithm = sets.distance(error).clamp(max=FARTHEST).log()

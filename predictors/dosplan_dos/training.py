@@ -20,9 +20,11 @@ from dosplan_net.training.train import (
     NET,
     Foretold,
     cross_fitted_trajectories,
+    mean_figures,
     run_over,
+    shares_of,
 )
-from dosplan_net.weights import load_model, load_weights, save_weights
+from dosplan_net.weights import begin_from, load_model, load_weights, save_weights
 from torch import Tensor, nn
 
 from dosplan.types import place_of
@@ -35,7 +37,7 @@ from dosplan_dos.calibration import (
     save_calibrations,
 )
 from dosplan_dos.covariates import covariates
-from dosplan_dos.losses import LossConfig
+from dosplan_dos.losses import CoverageLoss, LossConfig
 from dosplan_dos.module import CONSTANT_VELOCITY, OccupancyModule, SetConfig, UnionModule
 from dosplan_dos.shapes import Ellipses, Unions, Variant, grid_steps
 
@@ -56,6 +58,8 @@ class SetTraining:
         calibrated: Names of the modules that are calibrated.
         cross_fitted: Whether the errors on the training recordings are those of networks that were
             not trained on them; else the network's own, which are too small.
+        shares: Share of the loss that the windows of each cache have, in the order of ``--data``,
+            then of ``--unseen``; they need not sum to 1. None: as many as it holds.
     """
 
     modules: dict[str, SetConfig] = field(default_factory=dict)
@@ -64,6 +68,7 @@ class SetTraining:
     standing_share: float = 0.5
     calibrated: list[str] = field(default_factory=list)
     cross_fitted: bool = True
+    shares: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -81,6 +86,7 @@ class Windows:
         static: (W, STATIC_SIZE) see ``dosplan_net.features.SceneFeatures``.
         instructive: (W,) whether the road user moves or is about to.
         recording: (W,) recording.
+        weight: (W,) how much each counts: the weight of its scene, see ``WindowCache``.
         covariates: (W, F) see ``covariates.covariates``.
         places: The place of each recording.
     """
@@ -95,8 +101,24 @@ class Windows:
     static: Tensor
     instructive: Tensor
     recording: Tensor
+    weight: Tensor
     covariates: Tensor
     places: tuple[str, ...]
+
+    def drawn(self, seed: int) -> Windows:
+        """Draws windows with their weights as probabilities: of one past one outcome, about.
+
+        Args:
+            seed: Seed of the draw.
+
+        Returns:
+            These, which all count the same; everyone where only one future is known.
+        """
+        generator = torch.Generator().manual_seed(seed)
+        chance = torch.rand(len(self.weight), generator=generator).to(self.weight.device)
+        kept = chance < self.weight
+        parts = {name: part[kept] for name, part in vars(self).items() if name != "places"}
+        return replace(self, **parts | {"weight": torch.ones_like(parts["weight"])})
 
     def sets(self, module: SetModule, rows: Tensor) -> tuple[Sets, Tensor, Tensor]:
         """A module's sets for some windows.
@@ -128,7 +150,7 @@ def encode_windows(
     caches: Sequence[WindowCache],
     network: Path,
     base: str,
-    cross_fitted: Sequence[Foretold] | None = None,
+    cross_fitted: Sequence[Foretold | None] | None = None,
     device: str = "cpu",
 ) -> Windows:
     """Runs the frozen network over caches.
@@ -137,7 +159,7 @@ def encode_windows(
         caches: The windows.
         network: Weights of the trajectory network.
         base: Whose trajectories the sets are for: ``net`` or ``constant-velocity``.
-        cross_fitted: For each cache, trajectories to use instead of the network's.
+        cross_fitted: For each cache, trajectories to use instead of the network's, if any.
         device: Where to run it; the windows stay there.
 
     Returns:
@@ -153,9 +175,8 @@ def encode_windows(
             path, weight = found.trajectory, found.log_weight
             if base == CONSTANT_VELOCITY:
                 path, weight = constant_velocity(velocity)[:, None], torch.zeros_like(weight[:, :1])
-            elif cross_fitted is not None:
+            elif cross_fitted is not None and (foretold := cross_fitted[number]) is not None:
                 rows = batch.windows.cpu().numpy()
-                foretold = cross_fitted[number]
                 path, weight = (
                     torch.from_numpy(part[rows]).to(device)
                     for part in (foretold.trajectory, foretold.log_weight)
@@ -171,6 +192,7 @@ def encode_windows(
                 batch.static,
                 batch.instructive,
                 batch.recording + first,
+                batch.weight,
             )
             keep = batch.moves & batch.future_valid[:, 0]
             parts.append((*(value[keep] for value in values), _known(batch, keep)))
@@ -200,9 +222,10 @@ def train_module(
     config: SetConfig,
     training: SetTraining,
     windows: Windows,
-    held_out: Windows,
+    held_out: Sequence[Windows],
     out: Path,
     report: Callable[[str], None] = print,
+    init: Path | None = None,
 ) -> dict[str, float]:
     """Trains one module, where the windows are; does nothing where it is done.
 
@@ -211,12 +234,16 @@ def train_module(
         config: The module.
         training: How to train.
         windows: What to train on.
-        held_out: What to validate on.
+        held_out: What to validate on; the figures of each count the same.
         out: Folder of the training; ``NAME.safetensors`` is written there.
         report: Called with each line of progress.
+        init: Weights to begin from; None for random ones.
 
     Returns:
         The figures of the best validation.
+
+    Raises:
+        WeightsError: ``init`` cannot be read, or has other sizes.
     """
     target = out / f"{name}.safetensors"
     if target.is_file():
@@ -225,18 +252,32 @@ def train_module(
     torch.manual_seed(training.fit.seed)
     config = replace(config, features=windows.features.shape[1])
     device = windows.features.device
-    learner = _Learner(config).to(device)
+    learner = _Learner(config)
+    if init is not None:
+        begin_from(learner.module, init, MODEL)
+    learner.to(device)
     drawn = torch.rand(len(windows.features)) < training.standing_share
     pool = torch.where(windows.instructive | drawn.to(device))[0]
 
+    def batch(size: int) -> tuple[Sets, Tensor, Tensor]:
+        rows = pool[torch.randint(0, len(pool), (size,)).to(device)]
+        sets, truth, valid = windows.sets(learner.module, rows)
+        return sets, truth, valid * windows.weight[rows, None]
+
     def loss_at(step: int) -> Tensor:
-        rows = pool[torch.randint(0, len(pool), (training.batch,)).to(device)]
-        return learner.loss(*windows.sets(learner.module, rows))  # type: ignore[no-any-return]
+        return learner.loss(*batch(training.batch))  # type: ignore[no-any-return]
+
+    if init is not None and isinstance(learner.loss, CoverageLoss):
+        with torch.no_grad():
+            learner.loss.balance(*batch(8192))
 
     figures = fit(
         learner,
         loss_at,
-        lambda model: coverage_figures(model.module, held_out),  # type: ignore[arg-type]
+        lambda model: mean_figures(
+            coverage_figures(model.module, part)  # type: ignore[arg-type]
+            for part in held_out
+        ),
         training.fit,
         out / name,
         lambda line: report(f"{name}: {line}"),
@@ -283,11 +324,14 @@ def train_sets(
     names: Sequence[str],
     training: SetTraining,
     caches: Sequence[Path],
-    validation: Path,
+    validation: Sequence[Path],
     network: Path,
     out: Path,
     report: Callable[[str], None] = print,
     device: str = "cpu",
+    *,
+    unseen: Sequence[Path] = (),
+    init: Path | None = None,
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Trains and calibrates modules, one after another.
 
@@ -295,32 +339,58 @@ def train_sets(
         names: Which of ``training.modules``.
         training: What to train, and how.
         caches: Caches of training windows.
-        validation: Cache of validation windows.
+        validation: Caches of validation windows.
         network: Folder of the trajectory network's training.
         out: Folder of the training.
         report: Called with each line of progress.
         device: Where to train, as torch names it.
+        unseen: Caches of more training windows, of recordings that the network was not trained on:
+            its own errors on them are those to expect.
+        init: Folder of the weights to begin from, ``NAME.safetensors``; None for random ones.
 
     Yields:
         Each module's name and the figures of its best validation.
+
+    Raises:
+        CacheError: A cache cannot be read, or ``training.shares`` are not one for each.
+        WeightsError: Weights cannot be read, or those to begin from have other sizes.
     """
-    opened = [WindowCache.open(path) for path in caches]
-    held_out = [WindowCache.open(validation)]
+    opened = [WindowCache.open(path) for path in (*caches, *unseen)]
+    held_out = [WindowCache.open(path) for path in validation]
     loop = _loop_of([*opened, *held_out])
     weights = network / f"{NET}.safetensors"
-    trajectories = None
+    trajectories: list[Foretold | None] = [None] * len(opened)
     if training.cross_fitted:
-        trajectories = cross_fitted_trajectories(caches, network, device)
+        trajectories[: len(caches)] = cross_fitted_trajectories(caches, network, device)
     for base in dict.fromkeys(training.modules[name].base for name in names):
         windows = encode_windows(opened, weights, base, trajectories, device)
-        validating = encode_windows(held_out, weights, base, device=device)
+        # Pasts that are validated and calibrated on have one outcome each.
+        validating = [
+            encode_windows([cache], weights, base, device=device).drawn(training.fit.seed)
+            for cache in held_out
+        ]
+        shared = _shared(windows, opened, training.shares)
         for name in (name for name in names if training.modules[name].base == base):
             config = training.modules[name]
-            yield name, train_module(name, config, training, windows, validating, out, report)
+            begin = None if init is None else init / f"{name}.safetensors"
+            figures = train_module(name, config, training, shared, validating, out, report, begin)
+            yield name, figures
             if name in training.calibrated:
                 target = out / f"{name}.safetensors"
-                scored = score_windows(load_module(target).to(device), [windows, validating])
+                parts = [windows.drawn(training.fit.seed), *validating]
+                scored = score_windows(load_module(target).to(device), parts)
                 save_calibrations(calibration_file(target, loop), calibrate(scored))
+
+
+def _shared(windows: Windows, caches: Sequence[WindowCache], shares: Sequence[float]) -> Windows:
+    """The windows of some caches, weighted so that each cache has its share."""
+    cache_of = np.repeat(np.arange(len(caches)), [len(cache.recordings) for cache in caches])
+    of = cache_of[windows.recording.cpu().numpy()]
+    weight = windows.weight.double().cpu().numpy()
+    parts = shares_of(caches, [weight[of == k] for k in range(len(caches))], shares)
+    for k, part in enumerate(parts):
+        weight[of == k] = part
+    return replace(windows, weight=torch.from_numpy(weight).to(windows.weight))
 
 
 def calibrate_sets(
@@ -346,7 +416,9 @@ def calibrate_sets(
     for name in names:
         weights = out / f"{name}.safetensors"
         module = load_module(weights)
-        windows = encode_windows(opened, network / f"{NET}.safetensors", module.config.base)
+        windows = encode_windows(opened, network / f"{NET}.safetensors", module.config.base).drawn(
+            0
+        )
         try:
             scored = score_windows(module, [windows])
             ideal = calibration_file(weights, CalibratedFor.IDEAL)

@@ -32,6 +32,14 @@ class DataCommand:
             metavar="N",
             help="steps between two scenes of a recording (default: %(default)s)",
         )
+        parser.add_argument(
+            "--futures",
+            type=int,
+            default=1,
+            metavar="K",
+            help="take so many recorded futures of each scenario, where it has them; together they "
+            "count as one (default: %(default)s)",
+        )
         add_loop(parser, "have the road users seen as in that loop of dosplan run")
         add_seed(parser)
         parser.add_argument(
@@ -53,14 +61,15 @@ class DataCommand:
         from dosplan.report.progress import show_progress
         from dosplan_net.training.cache import CacheError, build_cache
 
-        if options.every < 1 or options.workers < 1:
-            raise CommandError("--every and --workers must be 1 or more")
+        if min(options.every, options.workers, options.futures) < 1:
+            raise CommandError("--every, --workers and --futures must be 1 or more")
         try:
             with show_progress(Console(stderr=True), "recordings") as progress:
                 report = build_cache(
                     options.sources,
                     options.out,
                     every=options.every,
+                    futures=options.futures,
                     loop=choose_loop(
                         options.loop or "ideal", chosen_settings(options.settings or (), "loop")
                     ),
@@ -91,12 +100,20 @@ def train_network(options: argparse.Namespace) -> None:
         CommandError: The configuration cannot be used, or ``--only`` names no part.
         WeightsError: Weights that are there cannot be read.
     """
-    from dosplan_net.training.train import NetTraining, stages, train_stage
+    from dosplan_net.training.train import NET, NetTraining, stages, train_stage
 
     config = read_training(options.config, NetTraining)
+    init = None if options.init is None else options.init / f"{NET}.safetensors"
     for name in chosen_parts(options.only, stages(config)):
         figures = train_stage(
-            name, config, options.data, options.validation, options.out, say, options.device
+            name,
+            config,
+            options.data,
+            options.validation,
+            options.out,
+            say,
+            options.device,
+            init,
         )
         say_best(name, figures)
 

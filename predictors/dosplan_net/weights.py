@@ -62,6 +62,27 @@ def load_weights(path: Path, model: str) -> tuple[dict[str, Tensor], dict[str, A
     return state, about
 
 
+def begin_from(model: nn.Module, path: Path, kind: str) -> None:
+    """Gives a model the weights of a trained one.
+
+    Args:
+        model: An untrained model.
+        path: The weights.
+        kind: The kind of model, as for ``load_weights``.
+
+    Raises:
+        WeightsError: The file is not such weights, or a model of other sizes has them.
+    """
+    state, _ = load_weights(path, kind)
+    try:
+        model.load_state_dict(state)
+    except RuntimeError:
+        raise WeightsError(
+            f"{path}: weights of a {kind!r} of other sizes than the configuration names; "
+            "copy the sizes from the configuration that it was trained by"
+        ) from None
+
+
 def load_model(path: Path, model: str, build: Callable[[dict[str, Any]], ModelT]) -> ModelT:
     """Builds a model from its weights.
 

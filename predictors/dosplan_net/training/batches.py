@@ -44,6 +44,7 @@ class RawBatch:
         windows: (B,) windows of the cache.
         scene_of: (B,) number of each window's scene in the batch.
         recording: (B,) recording of each window.
+        weight: (B,) weight of each window's scene, see ``WindowCache``.
         pose: (B, 4); ``history``, ``static``, ``neighbours``, ``pieces``: see ``network.Scene``.
         history: See ``network.Scene``.
         static: See ``network.Scene``.
@@ -60,6 +61,7 @@ class RawBatch:
     windows: Tensor
     scene_of: Tensor
     recording: Tensor
+    weight: Tensor
     pose: Tensor
     history: Tensor
     static: Tensor
@@ -127,6 +129,7 @@ def read_scenes(
         windows=windows,
         scene_of=torch.from_numpy(scene_of).to(device),
         recording=torch.from_numpy(cache.scene_recording[drawn][scene_of]).to(device),
+        weight=torch.from_numpy(cache.scene_weight[drawn][scene_of]).to(device),
         pose=take("pose"),
         history=take("history"),
         static=take("static"),

@@ -10,7 +10,8 @@ from __future__ import annotations
 import json
 import re
 import zipfile
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -25,6 +26,8 @@ from torch import Tensor
 from dosplan.evaluation.groups import SIMULATED
 from dosplan.geometry import to_body, wrap_angle
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_recording
+from dosplan.scenario.futures import with_futures
+from dosplan.scenario.sources.futures import futures_file
 from dosplan.simulation.settings import IDEAL, LoopSettings, loop_name
 from dosplan.simulation.world import watch
 from dosplan.system.errors import DosplanError
@@ -34,6 +37,10 @@ from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 from dosplan_net.lights import LIGHT_SIZE, describe_lights, find_lights
 
 FORMAT: Final = 2
+SEVERAL: Final = 3
+"""Format of a cache with several futures of one past, whose scenes have weights."""
+SAME_PLACE: Final = 0.05
+"""Distance up to which a road user is in the same place in two futures, m."""
 EMPTY: Final = ""  # Result of the extraction where no future is recorded.
 MIN_FUTURE: Final = 5  # Steps of recorded future that a scene needs.
 
@@ -46,11 +53,16 @@ class CacheError(DosplanError, ValueError):
 class WindowCache:
     """Every window of a set of recordings; W windows in S scenes of R recordings, P map pieces.
 
-    A scene is one step of a recording; its windows are its road users, row after row.
+    A scene is one step of a recording; its windows are its road users, row after row. Of a
+    recording with several futures a step may be there several times, once for each future in which
+    somebody is soon elsewhere than in future 0. Their weights sum to 1: one past counts once,
+    however many of its futures are known.
 
     Attributes:
         scene_start: (S + 1,) first window of each scene, and W.
         scene_recording: (S,) recording of each scene.
+        scene_weight: (S,) share of the recording's futures that each scene stands for; 1 where one
+            future is recorded.
         pose: (W, 4) x, y relative to the recording's origin, m, heading, rad, velocity, m/s.
         history: (W, HISTORY, 6) see ``SceneFeatures``.
         static: (W, STATIC_SIZE) see ``SceneFeatures``.
@@ -71,6 +83,7 @@ class WindowCache:
 
     scene_start: npt.NDArray[np.int64]
     scene_recording: npt.NDArray[np.int64]
+    scene_weight: npt.NDArray[np.float32]
     pose: npt.NDArray[np.float32]
     history: npt.NDArray[np.float32]
     static: npt.NDArray[np.float32]
@@ -123,15 +136,18 @@ class WindowCache:
         """
         try:
             content = json.loads((folder / "cache.json").read_text(encoding="utf-8"))
-            if content["format"] != FORMAT:
+            several = content["format"] == SEVERAL
+            if not several and content["format"] != FORMAT:
                 raise CacheError(
                     f"{folder}: cache of format {content['format']}, this version reads {FORMAT}; "
                     "build it again with dosplan data build"
                 )
             arrays: dict[str, Any] = {
                 name: np.load(folder / f"{name}.npy", mmap_mode="c", allow_pickle=False)
-                for name in ("scene_start", *_LAYOUT)
+                for name in ("scene_start", *_LAYOUT, *(_WEIGHTS if several else ()))
             }
+            if not several:
+                arrays["scene_weight"] = np.ones(len(arrays["scene_recording"]), np.float32)
             for name in ("recordings", "groups", "simulated"):
                 arrays[name] = tuple(content[name])
             return cls(**arrays, loop=str(content.get("loop", loop_name(IDEAL))))
@@ -161,6 +177,8 @@ _LAYOUT: Final[dict[str, tuple[str, Any]]] = {
     "piece_attributes": (_PIECE, np.float32),
     "piece_pose": (_PIECE, np.float32),
 }
+# What a cache with several futures has beside.
+_WEIGHTS: Final[dict[str, tuple[str, Any]]] = {"scene_weight": (_SCENE, np.float32)}
 
 
 @dataclass(frozen=True)
@@ -187,6 +205,7 @@ def build_cache(
     out: Path,
     *,
     every: int = 2,
+    futures: int = 1,
     loop: LoopSettings = IDEAL,
     seed: int = 0,
     workers: int = 1,
@@ -198,6 +217,7 @@ def build_cache(
         sources: Where the recordings are, as ``dosplan.scenario.find_scenarios`` takes it.
         out: The cache to make; what an interrupted build left there is used.
         every: Steps between two scenes of a recording.
+        futures: How many of the recorded futures of a scenario are taken at most.
         loop: The loop through which the road users are seen; what comes is as recorded.
         seed: Seed of the errors of what is seen.
         workers: Processes.
@@ -217,7 +237,14 @@ def build_cache(
     except OSError as error:
         raise CacheError(f"{out}: cannot be written ({error.strerror}); name another") from None
     jobs = [
-        _Job(ref, out / "shards" / f"{_digest(ref.path, every, loop, seed)}.npz", every, loop, seed)
+        _Job(
+            ref=ref,
+            shard=out / "shards" / f"{_digest(ref.path, every, futures, loop, seed)}.npz",
+            every=every,
+            futures=futures,
+            loop=loop,
+            seed=seed,
+        )
         for ref in refs
     ]
     answers: list[str | None] = []
@@ -234,7 +261,8 @@ def build_cache(
     if not kept:
         why = f"; the first: {left_out['unreadable'][0]}" if left_out["unreadable"] else ""
         raise CacheError(f"no windows in {len(jobs)} recordings{why}")
-    return _join(kept, left_out, out, {"every": every, "loop": loop_name(loop)})
+    made: dict[str, Any] = {"every": every, "loop": loop_name(loop)}
+    return _join(kept, left_out, out, made | ({"futures": futures} if futures > 1 else {}))
 
 
 class _Job(NamedTuple):
@@ -243,14 +271,17 @@ class _Job(NamedTuple):
     ref: ScenarioRef
     shard: Path
     every: int
+    futures: int
     loop: LoopSettings
     seed: int
 
 
-def _digest(path: Path, every: int, loop: LoopSettings, seed: int) -> str:
+def _digest(path: Path, every: int, futures: int, loop: LoopSettings, seed: int) -> str:
     """Name of a shard: a digest of what its content depends on."""
     key = sha256(f"{FORMAT} {every} {loop} {seed} {path.name} ".encode())
     key.update(path.read_bytes())
+    if futures > 1 and (others := futures_file(path)) is not None:
+        key.update(f" {futures} ".encode() + others.read_bytes())
     return key.hexdigest()[:24]
 
 
@@ -261,6 +292,8 @@ def _extract_to(job: _Job) -> str | None:
         return None
     try:
         scenario = load_recording(ref)
+        if job.futures > 1 and (others := futures_file(ref.path)) is not None:
+            scenario = with_futures(scenario, others)
     except ScenarioError as error:
         return str(error)
     arrays = _extract(scenario, job)
@@ -281,19 +314,21 @@ def _readable(shard: Path) -> bool:
 
 
 def _extract(scenario: Scenario, job: _Job) -> dict[str, npt.NDArray[Any]] | None:
-    tracks = scenario.tracks
     pieces, index = cut_map(scenario.road_map), find_lights(scenario.road_map)
     parts: dict[str, list[npt.NDArray[Any]]] = {
         name: [] for name, (owner, _) in _LAYOUT.items() if owner == _WINDOW
     }
     counts = [0]
+    of: list[tuple[int, int]] = []  # Future and step of each scene.
     origin = scenario.task.start[:2]
-    row_of = {name: row for row, name in enumerate(tracks.ids.tolist())}
-    for observation in watch(scenario, job.every, HISTORY, loop=job.loop, seed=job.seed):
+    for number, observation in _watched(scenario, job):
+        tracks = scenario.recorded(number)
+        row_of = {name: row for row, name in enumerate(tracks.ids.tolist())}
         rows = np.array([row_of[name] for name in observation.ids.tolist()], dtype=np.int64)
         future, future_valid = _future(observation, tracks, rows)
         if not np.any(future_valid[:, MIN_FUTURE - 1]):
             continue
+        of.append((number, observation.step))
         features = describe(observation, pieces)
         parts["pose"].append(features.pose - np.array([*origin, 0.0, 0.0]))
         parts["history"].append(features.history)
@@ -312,11 +347,56 @@ def _extract(scenario: Scenario, job: _Job) -> dict[str, npt.NDArray[Any]] | Non
         return None
     arrays = {name: np.concatenate(part) for name, part in parts.items()}
     arrays["scene_start"] = np.array(counts)
+    if job.futures > 1:
+        arrays["scene_weight"] = _weights(of, _taken(scenario, job))
     arrays["piece_shape"] = pieces.shape
     arrays["piece_attributes"] = pieces.attributes
     arrays["piece_pose"] = pieces.pose - np.array([*origin, 0.0])
     arrays["simulated"] = np.array(SIMULATED in scenario.tags)
     return arrays
+
+
+def _taken(scenario: Scenario, job: _Job) -> int:
+    """How many futures of a scenario are taken."""
+    return min(job.futures, 1 + len(scenario.futures))
+
+
+def _watched(scenario: Scenario, job: _Job) -> Iterator[tuple[int, Observation]]:
+    """What is seen in each future, with its number.
+
+    Of a future beyond 0 only the steps after which somebody is soon elsewhere than in future 0:
+    after the others the same comes.
+    """
+    for number in range(_taken(scenario, job)):
+        apart = _apart(scenario.tracks, scenario.recorded(number)) if number else None
+        for observation in watch(
+            scenario, job.every, HISTORY, loop=job.loop, seed=job.seed, future=number
+        ):
+            soon = slice(observation.step + 1, observation.step + 1 + HORIZON)
+            if apart is None or apart[soon].any():
+                yield number, observation
+
+
+def _apart(one: Tracks, other: Tracks) -> npt.NDArray[np.bool_]:
+    """(K,) at which steps somebody is elsewhere in one of two futures than in the other."""
+    ids = np.union1d(one.ids, other.ids)
+    places = np.full((2, len(ids), one.steps, 2), np.inf)
+    for place, tracks in zip(places, (one, other), strict=True):
+        valid = tracks.valid[..., None]
+        place[np.searchsorted(ids, tracks.ids)] = np.where(valid, tracks.states[..., :2], np.inf)
+    with np.errstate(invalid="ignore"):
+        # NaN, which is not larger, for who is on the scene in neither.
+        distance = np.hypot(*np.moveaxis(places[0] - places[1], -1, 0))
+    return np.asarray(np.any(distance > SAME_PLACE, axis=0))
+
+
+def _weights(of: Sequence[tuple[int, int]], futures: int) -> npt.NDArray[np.float64]:
+    """(S,) weights of the scenes of a recording, of which future and step are given.
+
+    A future that has no scene at a step goes on as future 0 does, which stands for it as well.
+    """
+    others = Counter(step for number, step in of if number)
+    return np.array([(1 if number else futures - others[step]) / futures for number, step in of])
 
 
 def _future(
@@ -342,7 +422,9 @@ def _join(
     made: dict[str, Any],
 ) -> BuildReport:
     """Writes the shards one after another into the arrays of a cache."""
-    writers = {name: _Writer(out / f"{name}.npy", dtype) for name, (_, dtype) in _LAYOUT.items()}
+    several = "futures" in made
+    layout = _LAYOUT | (_WEIGHTS if several else {})
+    writers = {name: _Writer(out / f"{name}.npy", dtype) for name, (_, dtype) in layout.items()}
     starts: list[npt.NDArray[np.int64]] = []
     simulated: list[bool] = []
     first = {_SCENE: 0, _WINDOW: 0, _PIECE: 0}
@@ -363,7 +445,7 @@ def _join(
     np.save(out / "scene_start.npy", np.append(np.concatenate(starts), first[_WINDOW]))
     names = [ref.path.name for ref, _ in kept]
     content = {
-        "format": FORMAT,
+        "format": SEVERAL if several else FORMAT,
         **made,
         "scenes": first[_SCENE],
         "windows": first[_WINDOW],

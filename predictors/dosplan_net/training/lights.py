@@ -63,6 +63,7 @@ class LitWindows:
         future: (W, HORIZON, 2) where they went, m.
         valid: (W, HORIZON) whether that is recorded.
         recording: (W,) recording of the cache.
+        weight: (W,) weight of the window's scene, see ``cache.WindowCache``.
     """
 
     features: Tensor
@@ -74,6 +75,7 @@ class LitWindows:
     future: Tensor
     valid: Tensor
     recording: Tensor
+    weight: Tensor
 
     def part(self, rows: Tensor) -> LitWindows:
         """Some of the windows."""
@@ -117,6 +119,7 @@ def lit_windows(network: Path, caches: Sequence[Path]) -> LitWindows:
                     batch.future[rows, :, :2],
                     batch.future_valid[rows],
                     batch.recording[rows] + recordings,
+                    batch.weight[rows],
                 )
             )
         recordings += len(cache.recordings)
@@ -129,7 +132,7 @@ def lit_windows(network: Path, caches: Sequence[Path]) -> LitWindows:
 def train_lights(
     config: LightTraining,
     caches: Sequence[Path],
-    validation: Path,
+    validation: Sequence[Path],
     network: Path,
     out: Path,
     report: Callable[[str], None] = print,
@@ -139,7 +142,7 @@ def train_lights(
     Args:
         config: The training.
         caches: Caches of training windows.
-        validation: Cache of windows that select the weights.
+        validation: Caches of windows that select the weights.
         network: Folder of the network's training; ``net.safetensors`` there is used.
         out: Folder of this training; ``net.lights.safetensors`` is written there.
         report: Called with each line of progress.
@@ -152,7 +155,7 @@ def train_lights(
     if target.is_file():
         done: dict[str, float] = load_weights(target, MODEL)[1]["validation"]
         return done
-    windows, held_out = lit_windows(weights, caches), lit_windows(weights, [validation])
+    windows, held_out = lit_windows(weights, caches), lit_windows(weights, validation)
     torch.manual_seed(config.fit.seed)
     modes = windows.trajectory.shape[1]
     response = LightResponse(
@@ -165,7 +168,7 @@ def train_lights(
         part = windows.part(rows)
         answer = respond(response, part)
         found = Prediction(answer, part.log_weight, part.features)
-        total, count = config.loss.total(found, part.future, part.valid)
+        total, count = config.loss.total(found, part.future, part.valid * part.weight[:, None])
         return total / count.clamp(min=1)
 
     figures = fit(
@@ -199,6 +202,7 @@ def displacement(trajectory: Tensor, windows: LitWindows) -> dict[str, float]:
         ``ade``: mean over every recorded step, m; ``fde``: at the last step, m.
     """
     error = windows.error(trajectory)
-    total, count = (error * windows.valid).sum(0), windows.valid.sum(0)
+    valid = windows.valid * windows.weight[:, None]
+    total, count = (error * valid).sum(0), valid.sum(0)
     ade = total.sum() / count.sum().clamp(min=1)
     return {"ade": float(ade), "fde": float(total[-1] / count[-1].clamp(min=1))}

@@ -8,7 +8,7 @@ other folds and then predicts this one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -32,10 +32,10 @@ from dosplan_net.training.batches import (
     read_scenes,
     retimed,
 )
-from dosplan_net.training.cache import WindowCache
+from dosplan_net.training.cache import CacheError, WindowCache
 from dosplan_net.training.losses import TrajectoryLoss, best_of, displacements
 from dosplan_net.training.optimise import FitSettings, fit
-from dosplan_net.weights import WeightsError, load_weights, save_weights
+from dosplan_net.weights import WeightsError, begin_from, load_weights, save_weights
 
 NET = "net"
 
@@ -47,9 +47,11 @@ class NetTraining:
     Attributes:
         network: Sizes of the network.
         fit: How each network is trained.
-        folds: Number of networks for cross-fitting.
+        folds: Number of networks for cross-fitting; may be 0.
         batch: Windows in a batch, about.
         recorded_weight: Weight of a recorded scene in the draw; a simulated one has 1.
+        shares: Share of the drawn scenes that comes from each cache, in the order of ``--data``;
+            they need not sum to 1. None: as many as it holds.
         standing_share: Share of the windows of standing road users that is trained on.
         forgetting: Share of the histories that are cut short.
         retiming: How much faster or slower, as a share, the time of a scene goes at most.
@@ -62,6 +64,7 @@ class NetTraining:
     folds: int = 3
     batch: int = 768
     recorded_weight: float = 2.0
+    shares: list[float] = field(default_factory=list)
     standing_share: float = 0.2
     forgetting: float = 0.3
     retiming: float = 0.0
@@ -85,10 +88,11 @@ def train_stage(
     stage: str,
     config: NetTraining,
     caches: Sequence[Path],
-    validation: Path,
+    validation: Sequence[Path],
     out: Path,
     report: Callable[[str], None] = print,
     device: str = "cpu",
+    init: Path | None = None,
 ) -> dict[str, float]:
     """Trains one part; does nothing where it is done.
 
@@ -97,34 +101,53 @@ def train_stage(
             but those of fold k.
         config: The training.
         caches: Caches of training windows.
-        validation: Cache of validation windows.
+        validation: Caches of validation windows; their figures count the same.
         out: Folder of the training; ``STAGE.safetensors`` is written there.
         report: Called with each line of progress.
         device: Where to train, as torch names it.
+        init: Weights to begin from, for ``net`` alone; None for random ones.
 
     Returns:
         The figures of the best validation.
+
+    Raises:
+        CacheError: A cache cannot be read, or ``config.shares`` are not one for each.
+        WeightsError: ``init`` cannot be read, has other sizes, or is given for a fold.
     """
     target = out / f"{stage}.safetensors"
     if target.is_file():
         done: dict[str, float] = load_weights(target, MODEL)[1]["validation"]
         return done
     opened = [WindowCache.open(path) for path in caches]
-    folds = assign_folds(opened, config.folds)
-    # For ``net``, the number of the fold that is left out is one that no recording has.
-    own = config.folds if stage == NET else int(stage.removeprefix("fold-"))
-    scenes = [
-        np.flatnonzero(fold[cache.scene_recording] != own)
-        for cache, fold in zip(opened, folds, strict=True)
-    ]
+    if stage == NET:
+        own = config.folds
+        scenes = [np.arange(cache.scenes) for cache in opened]
+    else:
+        own = int(stage.removeprefix("fold-"))
+        folds = assign_folds(opened, config.folds)
+        scenes = [
+            np.flatnonzero(fold[cache.scene_recording] != own)
+            for cache, fold in zip(opened, folds, strict=True)
+        ]
     torch.manual_seed(config.fit.seed * 7919 + own)
-    network = build_network(config.network).to(device)
+    network = build_network(config.network)
+    if init is not None:
+        if stage != NET:
+            raise WeightsError(
+                f"{init}: {stage} cannot begin from them, they have seen the recordings that it is "
+                "to foretell; train with --only net, or with folds: 0"
+            )
+        begin_from(network, init, MODEL)
+    network.to(device)
     source = _Source(opened, scenes, config, device)
-    held_out = WindowCache.open(validation)
+    held_out = [WindowCache.open(path) for path in validation]
     figures = fit(
         network,
         lambda step: source.loss(network, step),
-        lambda model: displacement(model, held_out, device),  # type: ignore[arg-type]
+        lambda model: mean_figures(
+            displacement(model, cache, device)  # type: ignore[arg-type]
+            for cache in held_out
+        ),
         config.fit,
         out / stage,
         lambda line: report(f"{stage}: {line}"),
@@ -132,6 +155,54 @@ def train_stage(
     about = {"model": MODEL, "network": asdict(config.network), "validation": figures}
     save_weights(target, network.state_dict(), about)
     return figures
+
+
+def mean_figures(figures: Iterable[Mapping[str, float]]) -> dict[str, float]:
+    """Averages the figures of several validations, each of which counts the same.
+
+    Args:
+        figures: Those of each, by the same names.
+
+    Returns:
+        Their means, in the order of the first.
+    """
+    first, *others = figures
+    return {
+        name: sum((other[name] for other in others), value) / (1 + len(others))
+        for name, value in first.items()
+    }
+
+
+def shares_of(
+    caches: Sequence[WindowCache],
+    weights: Sequence[npt.NDArray[np.float64]],
+    shares: Sequence[float],
+) -> list[npt.NDArray[np.float64]]:
+    """Scales weights so that each cache has its share of their sum.
+
+    Args:
+        caches: The caches.
+        weights: Weights of what is drawn from each.
+        shares: The share of each, > 0; none: the weights stay.
+
+    Returns:
+        The scaled weights of each; the sum of all is as before.
+
+    Raises:
+        CacheError: There are not as many shares as caches.
+    """
+    if not shares:
+        return list(weights)
+    if len(shares) != len(caches) or not all(share > 0.0 for share in shares):
+        raise CacheError(
+            f"shares has {len(shares)} entries for {len(caches)} caches of windows; name a "
+            "positive one for each"
+        )
+    total = sum(weight.sum() for weight in weights)
+    return [
+        weight * (share / sum(shares) * total / weight.sum())
+        for weight, share in zip(weights, shares, strict=True)
+    ]
 
 
 def assign_folds(caches: Sequence[WindowCache], folds: int) -> list[npt.NDArray[np.int64]]:
@@ -268,7 +339,7 @@ def displacement(
     count = torch.zeros(HORIZON, device=device)
     for batch, found in run_over(network, Selection(cache, np.arange(cache.scenes), device)):
         error = displacements(found.trajectory, batch.future)
-        counted = batch.future_valid & batch.instructive[:, None]
+        counted = (batch.future_valid & batch.instructive[:, None]) * batch.weight[:, None]
         rows = torch.arange(len(error), device=error.device)
         chosen = (found.log_weight.argmax(1), best_of(error, batch.future_valid))
         for number, which in enumerate(chosen):
@@ -304,9 +375,10 @@ class _Source:
         self._scenes = np.concatenate(scenes)
         weight = [
             np.where(np.array(c.simulated)[c.scene_recording[s]], 1.0, config.recorded_weight)
+            * c.scene_weight[s].astype(np.float64)
             for c, s in zip(caches, scenes, strict=True)
         ]
-        self._ends = np.cumsum(np.concatenate(weight))
+        self._ends = np.cumsum(np.concatenate(shares_of(caches, weight, config.shares)))
         self._mean_windows = np.mean(
             np.concatenate([np.diff(c.scene_start)[s] for c, s in zip(caches, scenes, strict=True)])
         )

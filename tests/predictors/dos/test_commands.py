@@ -50,7 +50,7 @@ def test_data_build_makes_a_cache_and_names_what_it_leaves_out(
     assert "left out: " in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("option", ["--every", "--workers"])
+@pytest.mark.parametrize("option", ["--every", "--workers", "--futures"])
 def test_data_build_wants_positive_numbers(tmp_path: Path, option: str) -> None:
     with pytest.raises(CommandError, match="must be 1 or more"):
         run(DATA, "build", tmp_path, "--out", tmp_path / "cache", option, 0)
@@ -160,3 +160,35 @@ def test_calibration_is_for_the_loop_of_the_windows_and_leaves_the_others(
     other = windows("other", "--loop", "realistic", "--set", "loop.sensing.size=0")
     with pytest.raises(CommandError, match=r"seen through realistic, sensing\.size=0\.0; sets"):
         calibrated(other)
+
+
+def test_training_goes_on_from_weights_with_more_windows(
+    window_cache: Path, tmp_path: Path
+) -> None:
+    """The network first, then sets on its own errors on a cache that it has not seen."""
+    shipped, out, config = tmp_path / "shipped", tmp_path / "out", tmp_path / "config.yaml"
+    save_network(shipped / "net.safetensors")
+    save_sets(shipped / "a.safetensors")
+    fit = "fit: {steps: 2, validate_every: 2, learning_rate: 1e-3}\n"
+    config.write_text(
+        f"{fit}folds: 0\nbatch: 16\nshares: [3, 1]\n"
+        "network: {history: 8, map: 8, hidden: 12, heads: 2, decoder: 16}\n"
+    )
+    more = ("--data", window_cache, "--validation", window_cache, "--init", shipped)
+    assert train("net", config, window_cache, out, *more) == 0
+    config.write_text(
+        f"{fit}batch: 16\nshares: [1, 1]\ncalibrated: [a]\n"
+        "modules: {a: {features: 12, hidden: 8}}\n"
+    )
+    for k in (0, 1):
+        save_network(out / f"fold-{k}.safetensors", seed=k)
+    more = ("--unseen", window_cache, "--network", out, "--init", shipped)
+    assert train("dos", config, window_cache, out, *more) == 0
+    assert (out / "a.calibration.npz").is_file()
+    config.write_text(f"{fit}shares: [1]\nmodules: {{b: {{features: 12, hidden: 8}}}}")
+    with pytest.raises(CommandError, match="shares has 1 entries for 2 caches"):
+        train("dos", config, window_cache, out, *more)
+    with pytest.raises(CommandError, match="--unseen is for dos alone"):
+        train("net", config, window_cache, out, "--unseen", window_cache)
+    with pytest.raises(CommandError, match="--init is for net and dos"):
+        train("lights", config, window_cache, out, "--init", shipped)

@@ -118,6 +118,24 @@ def test_an_outlier_pulls_no_harder_than_the_farthest() -> None:
     assert torch.equal(loss(sets, near, torch.ones(1, G)), loss(sets, far, torch.ones(1, G)))
 
 
+def test_balanced_multipliers_neither_grow_nor_shrink_the_sets() -> None:
+    torch.manual_seed(0)
+    error, valid = torch.randn(4000, G, 2), (torch.rand(4000, G) < 0.7).float()
+    # Each step has sets of another size.
+    axes = torch.linspace(1.0, 3.0, G)[:, None].expand(G, 2).contiguous()
+    loss = CoverageLoss(0.9).eval()
+
+    def pull() -> torch.Tensor:
+        factor = torch.ones(G, 1, requires_grad=True)
+        loss(upright((factor * axes).expand(4000, G, 2)), error, valid).backward()
+        assert factor.grad is not None
+        return factor.grad[:, 0]
+
+    before = pull()
+    loss.balance(upright(axes.expand(4000, G, 2)), error, valid)
+    assert torch.all(pull().abs() < 1e-3 * before.abs().max())
+
+
 @pytest.mark.parametrize("wanted", [0.8, 0.9])
 def test_coverage_loss_covers_what_is_wanted_by_the_least_area(wanted: float) -> None:
     axes = learned(CoverageLoss(wanted), SIGMA)

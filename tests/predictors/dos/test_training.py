@@ -27,6 +27,7 @@ from dosplan_net.network import constant_velocity
 from dosplan_net.training.cache import WindowCache
 from dosplan_net.training.optimise import FitSettings
 from dosplan_net.training.train import Foretold
+from dosplan_net.weights import WeightsError
 
 from tests.support.models import TINY, save_network, save_sets
 
@@ -121,15 +122,15 @@ def test_figures_are_shares_and_mean_areas(windows: Windows, tmp_path: Path) -> 
 def test_training_resumes_and_the_seed_makes_it_the_same(windows: Windows, tmp_path: Path) -> None:
     fit = FitSettings(steps=12, validate_every=4, learning_rate=0.01)
     training = SetTraining(fit=fit, batch=32)
-    whole = train_module("a", CONFIG, training, windows, windows, tmp_path / "whole")
+    whole = train_module("a", CONFIG, training, windows, [windows], tmp_path / "whole")
 
     def interrupt(line: str) -> None:
         if " step 8 " in line:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_module("a", CONFIG, training, windows, windows, tmp_path / "parts", interrupt)
-    parts = train_module("a", CONFIG, training, windows, windows, tmp_path / "parts")
+        train_module("a", CONFIG, training, windows, [windows], tmp_path / "parts", interrupt)
+    parts = train_module("a", CONFIG, training, windows, [windows], tmp_path / "parts")
     assert parts == whole
     # The loss has multipliers of its own, which must survive the interruption as well.
     one, other = (load_module(tmp_path / p / "a.safetensors") for p in ("whole", "parts"))
@@ -141,3 +142,52 @@ def test_a_config_comes_back() -> None:
     config = SetConfig(Variant.V1, LossConfig("paper", k=0.5), "constant-velocity", 12, 8)
     assert read_config(describe_config(config)) == config
     assert read_config({}) == SetConfig()
+
+
+def test_windows_of_an_unseen_cache_keep_the_networks_own_trajectories(
+    window_cache: Path, network: Path
+) -> None:
+    cache = WindowCache.open(window_cache)
+    trajectories = np.zeros((len(cache.pose), 1, 40, 2), dtype=np.float32)
+    foretold = Foretold(trajectories, np.zeros((len(cache.pose), 1), dtype=np.float32))
+    windows = encode_windows([cache, cache], network, "net", [foretold, None])
+    own = encode_windows([cache], network, "net").trajectory
+    assert not windows.trajectory[: len(own)].any()
+    assert torch.equal(windows.trajectory[len(own) :], own)
+
+
+def test_draws_follow_the_weights(windows: Windows) -> None:
+    everyone = windows.drawn(0)
+    assert torch.equal(everyone.future, windows.future)
+    light = replace(windows, weight=torch.where(windows.recording > 0, 0.2, 1.0))
+    drawn = light.drawn(3)
+    assert torch.equal(drawn.weight, torch.ones(len(drawn.weight)))
+    assert drawn.places == windows.places
+    assert (drawn.recording == 0).sum() == (windows.recording == 0).sum()
+    rest = int((windows.recording > 0).sum())
+    counts = [int((light.drawn(seed).recording > 0).sum()) for seed in range(100)]
+    assert np.mean(counts) == pytest.approx(0.2 * rest, rel=0.1)
+
+
+def test_windows_of_no_weight_teach_nothing(windows: Windows, tmp_path: Path) -> None:
+    training = SetTraining(fit=FitSettings(steps=3, validate_every=3), batch=64)
+    rest = windows.recording > 0
+    light = replace(windows, weight=torch.where(rest, 0.0, 1.0))
+    changed = replace(light, future=torch.where(rest[:, None, None], 50.0, windows.future))
+    for name, part in (("one", light), ("other", changed)):
+        train_module("a", CONFIG, training, part, [windows], tmp_path / name)
+    one, other = (load_module(tmp_path / p / "a.safetensors") for p in ("one", "other"))
+    for name, value in one.state_dict().items():
+        assert torch.equal(other.state_dict()[name], value), name
+
+
+def test_sets_are_trained_on_from_weights_that_are_there(windows: Windows, tmp_path: Path) -> None:
+    begin = save_sets(tmp_path / "begin.safetensors", seed=4)
+    still = SetTraining(fit=FitSettings(steps=1, validate_every=1, learning_rate=0.0), batch=32)
+    train_module("a", CONFIG, still, windows, [windows], tmp_path, init=begin)
+    first, kept = (load_module(path) for path in (begin, tmp_path / "a.safetensors"))
+    for name, value in first.state_dict().items():
+        assert torch.equal(kept.state_dict()[name], value), name
+    larger = replace(CONFIG, hidden=16)
+    with pytest.raises(WeightsError, match="of other sizes"):
+        train_module("b", larger, still, windows, [windows], tmp_path, init=begin)

@@ -205,7 +205,7 @@ def test_training_lessens_the_error_and_is_the_same_again(signals: Path, tmp_pat
     network = save_network(tmp_path / "net.safetensors")
     config = LightTraining(LightConfig(hidden=8), FitSettings(steps=40, validate_every=20), 64)
     for name in ("one", "other"):
-        train_lights(config, [signals], signals, tmp_path, tmp_path / name, lambda line: None)
+        train_lights(config, [signals], [signals], tmp_path, tmp_path / name, lambda line: None)
     one, other = (tmp_path / name / "net.lights.safetensors" for name in ("one", "other"))
     assert one.read_bytes() == other.read_bytes()
     expected = LightConfig(hidden=8, features=TINY.hidden)

@@ -39,7 +39,7 @@ TRAINING = NetTraining(
 def trained(
     stage: str, cache: Path, validation: Path, out: Path, config: NetTraining = TRAINING
 ) -> dict[str, torch.Tensor]:
-    train_stage(stage, config, [cache], validation, out, lambda line: None)
+    train_stage(stage, config, [cache], [validation], out, lambda line: None)
     return load_network(out / f"{stage}.safetensors").state_dict()
 
 
@@ -80,13 +80,69 @@ def test_all_stages_run_and_the_seed_makes_them_the_same(
 def test_a_part_that_is_done_is_not_trained_again(window_cache: Path, tmp_path: Path) -> None:
     config = replace(TRAINING, fit=replace(TRAINING.fit, steps=4, validate_every=4))
     lines: list[str] = []
-    first = train_stage(NET, config, [window_cache], window_cache, tmp_path, lines.append)
+    first = train_stage(NET, config, [window_cache], [window_cache], tmp_path, lines.append)
     assert first.keys() == {"score", "ade", "fde", "at_1", "best_ade", "best_fde"}
     assert len(lines) == 1
     assert lines[0].startswith("net: step 4 ")
-    again = train_stage(NET, config, [window_cache], window_cache, tmp_path, lines.append)
+    again = train_stage(NET, config, [window_cache], [window_cache], tmp_path, lines.append)
     assert again == first
     assert len(lines) == 1
+
+
+def test_training_begins_from_weights_that_are_there(window_cache: Path, tmp_path: Path) -> None:
+    begin = save_network(tmp_path / "begin" / "net.safetensors", seed=5)
+    still = replace(
+        TRAINING, folds=0, fit=FitSettings(steps=1, validate_every=1, learning_rate=0.0)
+    )
+    assert stages(still) == [NET]
+    caches = [window_cache]
+    train_stage(NET, still, caches, caches, tmp_path / "still", lambda line: None, init=begin)
+    kept = load_network(tmp_path / "still" / "net.safetensors").state_dict()
+    assert same(kept, load_network(begin).state_dict())
+    moving = replace(still, fit=replace(still.fit, learning_rate=0.01))
+    train_stage(NET, moving, caches, caches, tmp_path / "moving", lambda line: None, init=begin)
+    assert not same(load_network(tmp_path / "moving" / "net.safetensors").state_dict(), kept)
+
+
+def test_weights_that_a_training_cannot_begin_from(window_cache: Path, tmp_path: Path) -> None:
+    begin, caches = save_network(tmp_path / "net.safetensors"), [window_cache]
+    with pytest.raises(WeightsError, match=r"fold-0 cannot begin from them"):
+        train_stage("fold-0", TRAINING, caches, caches, tmp_path / "out", init=begin)
+    larger = replace(TRAINING, network=replace(TINY, hidden=16))
+    with pytest.raises(WeightsError, match=r"net\.safetensors: .* of other sizes"):
+        train_stage(NET, larger, caches, caches, tmp_path / "out", init=begin)
+    with pytest.raises(WeightsError, match="absent"):
+        train_stage(NET, TRAINING, caches, caches, tmp_path / "out", init=tmp_path / "absent")
+
+
+def test_shares_say_how_often_a_cache_is_drawn(window_cache: Path, tmp_path: Path) -> None:
+    """With a share of next to nothing, it makes no difference what a cache holds."""
+    cache = WindowCache.open(window_cache)
+    everyone = list(range(len(cache.recordings)))
+    changed = with_futures_mirrored(window_cache, tmp_path / "changed", everyone)
+
+    def result(name: str, second: Path, shares: list[float]) -> dict[str, torch.Tensor]:
+        config, out = replace(TRAINING, folds=0, shares=shares), tmp_path / name
+        caches = [window_cache, second]
+        train_stage(NET, config, caches, [window_cache], out, lambda line: None)
+        return load_network(out / "net.safetensors").state_dict()
+
+    rare = [1.0, 1e-9]
+    assert same(result("a", window_cache, rare), result("b", changed, rare))
+    assert not same(result("c", window_cache, [1.0, 1.0]), result("d", changed, [1.0, 1.0]))
+
+
+def test_several_validations_count_the_same(window_cache: Path, tmp_path: Path) -> None:
+    cache = WindowCache.open(window_cache)
+    other = with_futures_mirrored(window_cache, tmp_path / "other", [0, 1, 2])
+    config = replace(TRAINING, folds=0, fit=FitSettings(steps=1, validate_every=1))
+    found = train_stage(
+        NET, config, [window_cache], [window_cache, other], tmp_path, lambda line: None
+    )
+    network = load_network(tmp_path / "net.safetensors")
+    one, two = (displacement(network, part) for part in (cache, WindowCache.open(other)))
+    assert found["ade"] == pytest.approx(0.5 * (one["ade"] + two["ade"]))
+    assert one["ade"] != pytest.approx(two["ade"], rel=1e-4)
 
 
 def test_cross_fitting_does_not_see_its_own_fold(window_cache: Path, tmp_path: Path) -> None:

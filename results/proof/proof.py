@@ -57,7 +57,8 @@ class Cell:
         success: The same of successes.
         velocity: Difference of the mean velocities, m/s.
         p: Of the collisions, by scenarios.
-        p_holm: The same after Holm's correction over the primary cells; None elsewhere.
+        p_holm: The same after Holm's correction over the primary cells; None elsewhere, where
+            nothing is decided.
     """
 
     scenarios: str
@@ -85,7 +86,7 @@ class Cell:
     @property
     def is_safer(self) -> bool:
         """Hypothesis 1: significantly fewer collisions, and half of them at most."""
-        found = self.p if self.p_holm is None else self.p_holm
+        found = 1.0 if self.p_holm is None else self.p_holm
         return found < LEVEL and self.ratio is not None and self.ratio <= HALVED
 
     @property
@@ -200,7 +201,7 @@ def power(counts: FloatArray, scenarios: int) -> dict[str, float]:
 
     Scenarios of the pilot are drawn with replacement, with all their futures: what the futures of a
     scenario have in common is kept. For the halving each collision without sets is prevented with
-    a probability of a half, and as many others as the pilot has come about with them.
+    a probability of a half, and no other comes about.
 
     Args:
         counts: (S, 2) collisions of the pilot's scenarios without and with the sets.
@@ -269,8 +270,9 @@ def write_judgement(runs: Path) -> None:
             continue
         values = one.values
         cells.append(judge_cell(values["scenarios"], values["traffic"], values["loop"], rows))
-    primary = [cell for cell in cells if cell.key in PRIMARY]
-    corrected = dict(zip((c.key for c in primary), holm([c.p for c in primary]), strict=True))
+    found = {cell.key: cell.p for cell in cells}
+    # A primary cell that is not driven counts as one that shows nothing.
+    corrected = dict(zip(PRIMARY, holm([found.get(key, 1.0) for key in PRIMARY]), strict=True))
     judged = [Cell(**(vars(cell) | {"p_holm": corrected.get(cell.key)})) for cell in cells]
     write_json(HERE / "proof.json", {"cells": [asdict(cell) for cell in judged]})
     write_text(HERE / "proof.md", table(judged) + "\n")
@@ -298,7 +300,7 @@ def table(cells: Sequence[Cell]) -> str:
                 _points(cell.success),
                 _signed(cell.velocity, 1.0, 2),
                 *(
-                    "yes" if holds else "no"
+                    "-" if cell.p_holm is None else "yes" if holds else "no"
                     for holds in (cell.is_safer, cell.keeps_success, cell.keeps_velocity)
                 ),
             ]

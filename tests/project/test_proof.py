@@ -29,8 +29,13 @@ def _rows(without: int, with_sets: int, *, scenarios: int = 60, slower: float = 
     ]
 
 
+def _primary(rows: list[Score]) -> proof.Cell:
+    cell = proof.judge_cell("fresh", "replay", "late", rows)
+    return replace(cell, p_holm=cell.p)
+
+
 def test_a_clear_halving_is_found_and_none_where_there_is_none() -> None:
-    clear = proof.judge_cell("fresh", "replay", "late", _rows(20, 5))
+    clear = _primary(_rows(20, 5))
     assert (clear.n, clear.places, clear.without, clear.with_sets) == (120, 60, 20, 5)
     assert clear.ratio == 0.25
     # Fifteen scenarios that differ, all in one direction.
@@ -38,17 +43,21 @@ def test_a_clear_halving_is_found_and_none_where_there_is_none() -> None:
     assert clear.is_safer
     assert clear.keeps_success
     assert clear.keeps_velocity
-    assert not proof.judge_cell("fresh", "replay", "late", _rows(20, 20)).is_safer
+    assert not _primary(_rows(20, 20)).is_safer
     # Significant, and no halving.
-    less = proof.judge_cell("fresh", "replay", "late", _rows(30, 20))
+    less = _primary(_rows(30, 20))
     assert less.p < proof.LEVEL
     assert not less.is_safer
+
+
+def test_a_cell_that_is_not_primary_decides_nothing() -> None:
+    assert not proof.judge_cell("fresh", "reactive", "late", _rows(20, 5)).is_safer
 
 
 def test_what_the_sets_cost_is_held_against_the_margins() -> None:
     slow = proof.judge_cell("fresh", "replay", "late", _rows(20, 5, slower=0.3))
     assert not slow.keeps_velocity
-    worse = proof.judge_cell("fresh", "replay", "late", _rows(5, 20))
+    worse = _primary(_rows(5, 20))
     assert not worse.keeps_success
     assert not worse.is_safer
 

@@ -212,9 +212,7 @@ class SumoTraffic(Traffic):
         self._folder = TemporaryDirectory(prefix="dosplan-sumo-")
         self._demand = write_demand(read_demand(files), Path(self._folder.name))
         self._acts = _acts_of(scenario.sumo)
-        # Who acts a script is driven as it was when the future was recorded.
-        acted = self._acts is not None and self.future < len(self._acts.futures)
-        self._drivers = Drivers(self.seed, scenario.benchmark_id, 0 if acted else self.future)
+        self._drivers = Drivers(self.seed, scenario.benchmark_id, self.future)
         self._known: dict[str, _Known] = {}
         self._others: list[tuple[_Known, FloatArray]] = []
         self._seen: set[str] = set()
@@ -236,6 +234,9 @@ class SumoTraffic(Traffic):
                 futures = self._acts.futures
                 script = futures[self.future % len(futures)].script
                 self._executor.play(script, self._acts.branch)
+                if self.future < len(futures):
+                    # Who acts a script is driven as it was when the future was recorded.
+                    self._drivers = Drivers(self.seed, scenario.benchmark_id, 0)
         else:
             self._running.close()  # For the step in which the file's scene is made.
             self._drive_until(start, files, net_offset, ego)

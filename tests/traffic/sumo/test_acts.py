@@ -94,6 +94,18 @@ def test_the_cast_acts_its_future_from_the_branch_on(
         assert any(np.array_equal(speeds[name], plain[name]) for name in others)
 
 
+def test_where_the_scene_is_not_recognised_futures_differ_by_their_drivers(
+    braking: tuple[Scenario, int, dict[int, FloatArray]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario, _, _ = braking
+    monkeypatch.setattr(SumoTraffic, "_recognised", lambda *_: False)
+    (_, first), (_, second) = (_drive(scenario, future) for future in (0, 1))
+    assert any(
+        len(first[name]) == len(second[name]) and not np.array_equal(first[name], second[name])
+        for name in first.keys() & second.keys()
+    )
+
+
 def test_the_file_is_one_of_those_that_a_run_depends_on(
     braking: tuple[Scenario, int, dict[int, FloatArray]], place: Path
 ) -> None:

@@ -13,7 +13,7 @@ from dosplan.types import Arm, Outcome
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("run", ["suite-1", "recorded"])
+@pytest.mark.parametrize("run", ["suite", "suite-1", "recorded"])
 def test_tables_are_those_of_the_published_runs(run: str) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = text.split(f"<!-- {run} table: begin -->", 1)[1].split(f"<!-- {run} table: end -->")[0]
@@ -22,15 +22,15 @@ def test_tables_are_those_of_the_published_runs(run: str) -> None:
     assert shown.strip() == "\n\n".join(blocks[:2])
 
 
-@pytest.mark.parametrize("run", ["suite-1", "recorded"])
-def test_published_figures_follow_from_their_rows(run: str) -> None:
+@pytest.mark.parametrize(("run", "n"), [("suite", 300), ("suite-1", 150), ("recorded", 150)])
+def test_published_figures_follow_from_their_rows(run: str, n: int) -> None:
     folder = ROOT / "results" / run
     rows = read_rows(folder / "scenarios.jsonl")
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     for arm in Arm:
         mine = [row for row in rows if row.arm is arm]
-        assert len(mine) == summary[arm]["n"] == 150
-        share = sum(row.outcome is Outcome.SUCCESS for row in mine) / 150
+        assert len(mine) == summary[arm]["n"] == n
+        share = sum(row.outcome is Outcome.SUCCESS for row in mine) / n
         assert summary[arm]["success_rate"] == pytest.approx(share)
-        share = sum(row.outcome is Outcome.COLLISION for row in mine) / 150
+        share = sum(row.outcome is Outcome.COLLISION for row in mine) / n
         assert summary[arm]["collision_rate"] == pytest.approx(share)

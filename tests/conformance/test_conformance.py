@@ -216,6 +216,7 @@ def test_a_bad_planner_fails_at_its_own_rule(
 
 class GoodPredictor(ConstantVelocityPredictor):
     name = "good-v1"
+    has_sets = True
 
     def sets(self, observation: Observation, **changed: Any) -> Occupancy:
         plain = super().compute_occupancy(observation)

@@ -200,7 +200,10 @@ def measure_horizons(planner: str) -> dict[str, Figures]:
         planners = {s: create_planner(planner, 0, {"horizon": n}) for s, n in steps.items()}
     except RegistryError:
         return {}
-    sets = {s: create_predictor("growing-circle", 0, {"horizon": n}) for s, n in steps.items()}
+    sets = {
+        s: create_predictor("growing-circle", 0, {"horizon": n, "base.horizon": n})
+        for s, n in steps.items()
+    }
     scene = steady_flow(20)
     for driver, predictor in zip(planners.values(), sets.values(), strict=True):
         drive(scene, driver, predictor, Arm.WITH_DOS)  # Builds its problem.

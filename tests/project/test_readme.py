@@ -22,7 +22,9 @@ def test_tables_are_those_of_the_published_runs(run: str) -> None:
     assert shown.strip() == "\n\n".join(blocks[:2])
 
 
-@pytest.mark.parametrize(("run", "n"), [("suite", 300), ("suite-1", 150), ("recorded", 150)])
+@pytest.mark.parametrize(
+    ("run", "n"), [("suite", 300), ("suite/five-futures", 750), ("suite-1", 150), ("recorded", 150)]
+)
 def test_published_figures_follow_from_their_rows(run: str, n: int) -> None:
     folder = ROOT / "results" / run
     rows = read_rows(folder / "scenarios.jsonl")

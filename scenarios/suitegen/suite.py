@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
 from .build import Place, build, drives_csv
+from .manifest import write_manifest
 
 
 def build_suite(seed: int, count: int, out: Path, split: str, jobs: int) -> None:
@@ -32,7 +32,4 @@ def build_suite(seed: int, count: int, out: Path, split: str, jobs: int) -> None
             suite.append(built)
             print(f"{built.row['id']}  {len(built.data) / 1000:.0f} kB", flush=True)
     (out / "drives.csv.gz").write_bytes(drives_csv(suite))
-    with (out / "manifest.csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, fieldnames=list(suite[0].row), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(built.row for built in suite)
+    write_manifest(out, [built.row for built in suite])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import shutil
 from collections import Counter, defaultdict
@@ -18,6 +17,7 @@ import numpy as np
 
 from suitegen.futures.build import Built, Place, attempt_at, build, drives_csv, places
 from suitegen.futures.simulate import RejectedError
+from suitegen.manifest import write_manifest
 
 UNFINISHED = "unfinished"
 """Folder for what is kept of each scenario until all are there."""
@@ -77,10 +77,7 @@ def build_suite(
         return False
     suite = [made[place] for place in wanted]
     (out / "drives.csv.gz").write_bytes(drives_csv(suite))
-    with (out / "manifest.csv").open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, fieldnames=list(suite[0].row), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(built.row for built in suite)
+    write_manifest(out, [built.row for built in suite])
     shutil.rmtree(unfinished)
     return True
 

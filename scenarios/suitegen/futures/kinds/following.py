@@ -7,11 +7,11 @@ from dosplan_sumo.script import Action, Verb
 
 from suitegen.futures.staging import Act, Actor, Kind, Spot, Staging
 from suitegen.plain import Edge, Lane, Network, Node
-from suitegen.roads import KMH, Rng, Road, winding
+from suitegen.roads import KMH, Rng, winding
 
 from .drivers import DRIVERS, EXACT, STAND_IN, draw, pick
-from .lanes import changing, until_overlap
-from .pace import BRANCH, LEAD_IN, paced, released, started
+from .lanes import changes_over, changing, until_overlap
+from .pace import BRANCH, LEAD_IN, paced_scene, released
 
 
 def braking_platoon(rng: Rng) -> Staging:
@@ -85,25 +85,13 @@ def braking_platoon(rng: Rng) -> Staging:
         else:
             slow = draw(rng, (0.35, 0.6)) * pace
             over = (pace - slow) / braking
-            acts = (
-                *first,
-                Action(swerves, "other", Verb.LANE, own),
-                Action(swerves, "other", Verb.BRAKE, slow, over),
-                Action(swerves + over + 0.5, "other", Verb.BRAKE, ego, 6.0),
-            )
+            acts = (*first, *changes_over(swerves, own, slow, over, ego, 6.0))
             goes_on = released(meets)
         return Act(intention, (slow_down, *acts, *goes_on))
 
-    return Staging(
-        Road(network, (), (), tags=("highway" if motorway else "urban", "multi_lane")),
-        tuple(cast),
-        started,
-        future,
-        Spot("road", at + ego * (LEAD_IN + 6.8), own),
-        seconds=14.0,
-        warmup=0.0,
-        prelude=paced(speeds),
-    )
+    tags = ("highway" if motorway else "urban", "multi_lane")
+    goal = Spot("road", at + ego * (LEAD_IN + 6.8), own)
+    return paced_scene(network, tags, cast, speeds, future, goal, 14.0)
 
 
 def queue_behind_bend(rng: Rng) -> Staging:
@@ -185,16 +173,8 @@ def queue_behind_bend(rng: Rng) -> Staging:
         goes_on = (Action(sees, "ego", Verb.BRAKE, ego, 2.0), *released(meets + 3.0))
         return Act(intention, (slow_down, *acts, *goes_on))
 
-    return Staging(
-        Road(network, (), (), tags=("urban", "multi_lane")),
-        tuple(cast),
-        started,
-        future,
-        Spot("road", at + ego * (LEAD_IN + 6.8), own),
-        seconds=14.0,
-        warmup=0.0,
-        prelude=paced(speeds),
-    )
+    goal = Spot("road", at + ego * (LEAD_IN + 6.8), own)
+    return paced_scene(network, ("urban", "multi_lane"), cast, speeds, future, goal, 14.0)
 
 
 KINDS = (

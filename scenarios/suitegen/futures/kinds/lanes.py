@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from dosplan_sumo.script import Action, Verb
+from dosplan_sumo.script import Action, Script, Verb
 
 from dosplan.vehicle import VehicleParameters
 from suitegen.futures.staging import Act, Actor, Kind, Spot, Staging
 from suitegen.plain import Connection, Edge, Lane, Network, Node
-from suitegen.roads import KMH, Rng, Road, shifted, winding
+from suitegen.roads import KMH, Rng, shifted, winding
 
 from .drivers import DRIVERS, EXACT, STAND_IN, draw, pick
-from .pace import BRANCH, LEAD_IN, paced, released, started
+from .pace import BRANCH, LEAD_IN, paced_scene, released
 
 _EGO = VehicleParameters()
 SIDEWAYS = 4.0
@@ -32,6 +32,29 @@ def changing(lateral: float) -> dict[str, str]:
         "lcMaxSpeedLatFactor": "1",
         "lcAccelLat": f"{SIDEWAYS:.1f}",
     }
+
+
+def changes_over(
+    at: float, lane: int, slow: float, over: float, after: float, gaining: float
+) -> Script:
+    """The other changes its lane and brakes meanwhile, and goes on half a second later.
+
+    Args:
+        at: When, s.
+        lane: The lane that it comes into.
+        slow: Speed to which it brakes, m/s.
+        over: For how long, s.
+        after: Speed with which it goes on, m/s.
+        gaining: For how long it speeds up to that, s.
+
+    Returns:
+        The acts.
+    """
+    return (
+        Action(at, "other", Verb.LANE, lane),
+        Action(at, "other", Verb.BRAKE, slow, over),
+        Action(at + over + 0.5, "other", Verb.BRAKE, after, gaining),
+    )
 
 
 def cut_in(rng: Rng) -> Staging:
@@ -94,11 +117,7 @@ def cut_in(rng: Rng) -> Staging:
             slow = draw(rng, (0.6, 0.8)) * pace
             over = (pace - slow) / braking
             goes_on = released(meets + 0.6)
-            acts: tuple[Action, ...] = (
-                Action(when, "other", Verb.LANE, own),
-                Action(when, "other", Verb.BRAKE, slow, over),
-                Action(when + over + 0.5, "other", Verb.BRAKE, ego, 5.0),
-            )
+            acts = changes_over(when, own, slow, over, ego, 5.0)
         else:
             brakes = draw(rng, (0.2, 1.5))
             sees = brakes + close + draw(rng, DRIVERS.attentive_reaction)
@@ -109,16 +128,9 @@ def cut_in(rng: Rng) -> Staging:
                 acts = (*acts, Action(meets + draw(rng, (4.0, 5.0)), "other", Verb.LANE, own))
         return Act(intention, (slow_down, *acts, *goes_on))
 
-    return Staging(
-        Road(network, (), (), tags=("highway" if motorway else "urban", "multi_lane")),
-        tuple(cast),
-        started,
-        future,
-        Spot("road", at + ego * (LEAD_IN + 6.8), own),
-        seconds=13.0,
-        warmup=0.0,
-        prelude=paced(speeds),
-    )
+    tags = ("highway" if motorway else "urban", "multi_lane")
+    goal = Spot("road", at + ego * (LEAD_IN + 6.8), own)
+    return paced_scene(network, tags, cast, speeds, future, goal, 13.0)
 
 
 def lane_drop(rng: Rng) -> Staging:
@@ -166,16 +178,10 @@ def lane_drop(rng: Rng) -> Staging:
         Actor("ahead", "car", ("wide", "narrow"), at + ahead + 5.0, ego, lane=own, driver=EXACT),
     ]  # fmt: skip
     speeds = {"ego": ego, "other": pace, "ahead": ego}
-    return Staging(
-        Road(network, (), (), tags=("highway", "merging_lanes", "parallel_lanes")),
-        tuple(cast),
-        started,
-        _merging(ego, pace, meets, overlap, own, braking),
-        Spot("narrow", at + ego * (LEAD_IN + 6.8) - wide_length, own - (not drop_left)),
-        seconds=13.0,
-        warmup=0.0,
-        prelude=paced(speeds),
-    )
+    tags = ("highway", "merging_lanes", "parallel_lanes")
+    future = _merging(ego, pace, meets, overlap, own, braking)
+    goal = Spot("narrow", at + ego * (LEAD_IN + 6.8) - wide_length, own - (not drop_left))
+    return paced_scene(network, tags, cast, speeds, future, goal, 13.0)
 
 
 def _merging(
@@ -189,11 +195,7 @@ def _merging(
             goes_on = released(meets + 0.5)
             slow = draw(rng, (0.6, 0.75)) * ego
             over = (pace - slow) / braking
-            acts = (
-                Action(change, "other", Verb.LANE, own),
-                Action(change, "other", Verb.BRAKE, slow, over),
-                Action(change + over + 0.5, "other", Verb.BRAKE, ego, 4.0),
-            )
+            acts = changes_over(change, own, slow, over, ego, 4.0)
         elif intention == "falls in behind":
             slow = draw(rng, (0.3, 0.45)) * ego
             over = (pace - slow) / draw(rng, DRIVERS.light_braking)

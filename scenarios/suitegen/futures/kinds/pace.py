@@ -1,13 +1,15 @@
-"""How a cast is brought to the moment at which the scenario starts."""
+"""How a cast is brought to the moment at which the scenario starts, and scenes of a cast alone."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 from dosplan_sumo.script import Action, Script, Verb
 
-from suitegen.futures.staging import FIRST_BRANCH
+from suitegen.futures.staging import FIRST_BRANCH, Act, Actor, Spot, Staging
+from suitegen.plain import Network
+from suitegen.roads import Rng, Road
 
 LEAD_IN: Final = 3.0
 """Time that all drive before the scenario starts, s."""
@@ -44,3 +46,38 @@ def released(at: float) -> Script:
         The acts.
     """
     return (Action(at, "ego", Verb.FREE), Action(at, "ego", Verb.KEEP))
+
+
+def paced_scene(
+    network: Network,
+    tags: tuple[str, ...],
+    cast: Sequence[Actor],
+    speeds: Mapping[str, float],
+    futures: Callable[[int, Rng], Act],
+    goal: Spot,
+    seconds: float,
+) -> Staging:
+    """A scene of its cast alone, in which each drives at a speed of its own until the start.
+
+    Args:
+        network: The road.
+        tags: Of the scenario.
+        cast: Who is placed.
+        speeds: m/s, of those who keep one.
+        futures: Gives future k.
+        goal: Centre of the goal.
+        seconds: Time recorded after the start, s.
+
+    Returns:
+        The scene.
+    """
+    return Staging(
+        Road(network, (), (), tags=tags),
+        tuple(cast),
+        started,
+        futures,
+        goal,
+        seconds=seconds,
+        warmup=0.0,
+        prelude=paced(speeds),
+    )

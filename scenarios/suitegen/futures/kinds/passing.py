@@ -10,7 +10,7 @@ from suitegen.plain import Connection, Edge, Lane, Network, Node, Point, two_way
 from suitegen.roads import KMH, Rng, Road, winding
 
 from .drivers import DRIVERS, EXACT, STAND_IN, draw, pick
-from .pace import BRANCH, LEAD_IN, paced, released, started
+from .pace import BRANCH, LEAD_IN, paced, paced_scene, released, started
 
 TAGS = ("urban", "two_lane", "oncoming_traffic")
 
@@ -94,16 +94,9 @@ def bus_stop(rng: Rng) -> Staging:
         slow_down = Action(0.0, "ego", Verb.BRAKE, 0.62 * ego, 1.5)
         return Act(intention, (slow_down, *acts, *goes_on))
 
-    return Staging(
-        Road(Network(nodes, tuple(edges), links), (), (), tags=TAGS),
-        tuple(cast),
-        started,
-        future,
-        Spot("road2+", at + ego * (LEAD_IN + 7.2) - lengths[0] - lengths[1]),
-        seconds=14.0,
-        warmup=0.0,
-        prelude=paced(speeds),
-    )
+    network = Network(nodes, tuple(edges), links)
+    goal = Spot("road2+", at + ego * (LEAD_IN + 7.2) - lengths[0] - lengths[1])
+    return paced_scene(network, TAGS, cast, speeds, future, goal, 14.0)
 
 
 def _beside(line: tuple[Point, ...], at: np.ndarray, aside: np.ndarray) -> tuple[Point, ...]:

@@ -21,7 +21,7 @@ from dosplan.evaluation.windows import STEPS
 from dosplan.plugins.registry import RegistryError, choose_predictor, create_predictor, record
 from dosplan.simulation.settings import IDEAL, LoopSettings
 from dosplan.system.errors import DosplanError, did_you_mean
-from dosplan.system.yaml_text import YamlError, parse_yaml
+from dosplan.system.yaml_text import YamlError, read_yaml
 
 _KEYS: Final = ("label", "predictor", "options")
 
@@ -58,13 +58,9 @@ def read_methods(path: Path) -> list[Method]:
         MethodError: It cannot be read or is not such a list.
     """
     try:
-        content = parse_yaml(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MethodError(f"cannot read {path}: {error.strerror or error}") from None
+        content = read_yaml(path)
     except YamlError as error:
-        raise MethodError(f"{path} {error}") from None
-    except UnicodeDecodeError as error:
-        raise MethodError(f"{path} is not YAML: {error}") from None
+        raise MethodError(str(error)) from None
     if not isinstance(content, list) or not content:
         raise MethodError(f"{path}: expected a list of methods, each with {', '.join(_KEYS)}")
     return [_method(entry, f"{path}: method {i}") for i, entry in enumerate(content, start=1)]

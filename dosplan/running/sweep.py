@@ -41,7 +41,7 @@ from dosplan.running.executor import Executor, LocalExecutor
 from dosplan.running.run import describe
 from dosplan.system.errors import DosplanError, did_you_mean
 from dosplan.system.typed import plain, typed
-from dosplan.system.yaml_text import YamlError, parse_yaml
+from dosplan.system.yaml_text import YamlError, read_yaml
 from dosplan.types import Arm, Score
 
 _OWNERS: Final = ("planner", "predictor", "traffic", "loop")
@@ -110,7 +110,10 @@ def read_sweep(path: Path, changes: Settings | None = None) -> tuple[SweepRun, .
         SweepError: The file cannot be read or is not that of a sweep.
         RegistryError: A predictor cannot be found.
     """
-    content = _mapping(_parsed(path), str(path), _KEYS)
+    try:
+        content = _mapping(read_yaml(path), str(path), _KEYS)
+    except YamlError as error:
+        raise SweepError(str(error)) from None
     base = _mapping(content.get("base"), f"{path}: base")
     axes = _axes(content.get("axes"), f"{path}: axes")
     grids = content.get("grids", [{}])
@@ -237,17 +240,6 @@ def one_executor(workers: int, cluster: str | None) -> Iterator[Executor]:
 
     with kept_cluster(cluster) as address:
         yield DaskExecutor(address)
-
-
-def _parsed(path: Path) -> Any:
-    try:
-        return parse_yaml(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise SweepError(f"cannot read {path}: {error.strerror or error}") from None
-    except YamlError as error:
-        raise SweepError(f"{path} {error}") from None
-    except UnicodeDecodeError as error:
-        raise SweepError(f"{path} is not YAML: {error}") from None
 
 
 def _mapping(value: Any, where: str, keys: Sequence[str] = ()) -> dict[str, Any]:

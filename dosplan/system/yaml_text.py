@@ -6,6 +6,7 @@ nesting, which recursive code cannot handle.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Final
 
 import yaml
@@ -38,6 +39,28 @@ def parse_yaml(text: str) -> Any:
     except Exception as error:
         reason = str(error) if isinstance(error, yaml.YAMLError | ValueError) else repr(error)
         raise YamlError(f"is not YAML: {' '.join(reason.split())}") from None
+
+
+def read_yaml(path: Path) -> Any:
+    """Reads a YAML file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        As of ``parse_yaml``.
+
+    Raises:
+        YamlError: It cannot be read or is not such a document; the message names the file.
+    """
+    try:
+        return parse_yaml(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise YamlError(f"cannot read {path}: {error.strerror or error}") from None
+    except YamlError as error:
+        raise YamlError(f"{path} {error}") from None
+    except UnicodeDecodeError as error:
+        raise YamlError(f"{path} is not YAML: {error}") from None
 
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]

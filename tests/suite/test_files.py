@@ -14,9 +14,9 @@ from dosplan.scenario import load_scenario
 from dosplan.scoring.bounds import outside
 from dosplan.scoring.collision import first_contacts
 from dosplan.scoring.usable import unusable
-from dosplan.types import EGO_VELOCITY, USER_VELOCITY, Lanelet, Scenario
+from dosplan.types import EGO_VELOCITY, Lanelet, Scenario
 from dosplan.vehicle import VehicleParameters
-from tests.support.suite import ROWS, SUITE, Row, each
+from tests.support.suite import ROWS, SUITE, Row, check_motion, each
 
 MAX_FILE_BYTES = 200_000
 MAX_BYTES = 12_000_000
@@ -110,16 +110,9 @@ def _check_start(scenario: Scenario) -> None:
 def _check_traffic(scenario: Scenario, users: str) -> None:
     tracks = scenario.tracks
     assert len(tracks.ids) == sum(int(part.split(":")[1]) for part in users.split())
-    both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
-    change = np.diff(tracks.states, axis=1)
-    moved = np.hypot(change[..., 0], change[..., 1])[both]
-    speed = tracks.states[..., USER_VELOCITY]
-    mean = 0.5 * (speed[:, 1:] + speed[:, :-1])[both]
-    # Positions and velocities tell the same story: 0.3 m/s, of which 0.02 is rounding.
-    assert np.abs(moved / scenario.dt - mean).max() < 0.3
+    check_motion(tracks, scenario.dt)
     # No gaps: whoever has left does not come back.
     assert np.all(np.diff(tracks.valid.astype(int), axis=1).clip(0).sum(axis=1) <= 1)
-    assert np.abs(change[..., USER_VELOCITY][both]).max() <= 9.0 * scenario.dt + 1e-3
 
 
 def _check_map(scenario: Scenario) -> None:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,10 +12,11 @@ from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.scenario.futures import count_futures
 from dosplan.scenario.sources.fetch import SUITES
 from dosplan.scoring.collision import first_contacts
-from dosplan.types import EGO_VELOCITY, USER_VELOCITY, Scenario, Tracks
+from dosplan.types import EGO_VELOCITY, Scenario, Tracks
+from tests.support.suite import FUTURES_SUITE as SUITE
+from tests.support.suite import check_motion, manifest
 
-SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios"
-SUITE = SCENARIOS / "suite"
+SCENARIOS = SUITE.parent
 MAX_BYTES = 20_000_000
 """The most that both suites may weigh in the repository, pictures included."""
 DRIVEN = ("manifest.csv", "files", "futures", "sumo-files")
@@ -38,12 +37,7 @@ COLUMNS = [
 ]
 
 
-def _rows() -> list[dict[str, str]]:
-    with (SUITE / "manifest.csv").open(newline="", encoding="utf-8") as stream:
-        return list(csv.DictReader(stream))
-
-
-ROWS = _rows()
+ROWS = manifest(SUITE)
 _FIRST = {row["kind"]: row["id"] for row in reversed(ROWS)}.values()
 EACH = [
     pytest.param(row, id=row["id"], marks=() if row["id"] in _FIRST else pytest.mark.slow)
@@ -130,11 +124,5 @@ def test_road_users_move_as_bodies_do_in_every_future(row: dict[str, str]) -> No
     ego = np.column_stack([vehicle.poses(start), start[:, EGO_VELOCITY]])
     for k in range(int(row["futures"])):
         tracks = scenario.recorded(k)
-        both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
-        change = np.diff(tracks.states, axis=1)
-        moved = np.hypot(change[..., 0], change[..., 1])[both]
-        speed = tracks.states[..., USER_VELOCITY]
-        mean = 0.5 * (speed[:, 1:] + speed[:, :-1])[both]
-        assert np.abs(moved / scenario.dt - mean).max() < 0.3
-        assert np.abs(change[..., USER_VELOCITY][both]).max() <= 9.0 * scenario.dt + 1e-3
+        check_motion(tracks, scenario.dt)
         assert not first_contacts(ego, vehicle.size, tracks, task.start_step)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dosplan.types import FloatArray
+from dosplan.types import USER_VELOCITY, FloatArray, Tracks
 
 SUITE = Path(__file__).resolve().parents[2] / "scenarios" / "suite-1"
 FUTURES_SUITE = SUITE.parent / "suite"
@@ -43,6 +43,18 @@ def each(*road_kinds: str) -> list[Any]:
         for row in ROWS
         if row["road_kind"] in road_kinds or not road_kinds
     ]
+
+
+def check_motion(tracks: Tracks, dt: float) -> None:
+    """Checks that road users move as their velocities say, and that these change as they can."""
+    both = tracks.valid[:, 1:] & tracks.valid[:, :-1]
+    change = np.diff(tracks.states, axis=1)
+    moved = np.hypot(change[..., 0], change[..., 1])[both]
+    speed = tracks.states[..., USER_VELOCITY]
+    mean = 0.5 * (speed[:, 1:] + speed[:, :-1])[both]
+    # Positions and velocities tell the same story: 0.3 m/s, of which 0.02 is rounding.
+    assert np.abs(moved / dt - mean).max() < 0.3
+    assert np.abs(change[..., USER_VELOCITY][both]).max() <= 9.0 * dt + 1e-3
 
 
 def baselines(suite: Path = SUITE) -> list[Row]:

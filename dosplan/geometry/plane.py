@@ -10,7 +10,7 @@ import numpy.typing as npt
 import shapely
 from shapely.geometry import MultiPolygon, Polygon
 
-from dosplan.types import FloatArray, Lanelet, RoadMap
+from dosplan.types import BoolArray, FloatArray, Lanelet, RoadMap
 
 SEAM: Final = 0.1
 """Half the width of the gaps between lanelets that count as road, m.
@@ -78,6 +78,38 @@ def rectangle_corners(poses: FloatArray, size: npt.ArrayLike) -> FloatArray:
         (..., 4, 2) m.
     """
     return to_world(_UNIT_CORNERS * np.asarray(size, dtype=np.float64)[..., None, :], poses)
+
+
+def rectangles_overlap(
+    pose_a: FloatArray, size_a: npt.ArrayLike, pose_b: FloatArray, size_b: npt.ArrayLike
+) -> BoolArray:
+    """Whether rectangles overlap, for many pairs at once (separating-axis theorem).
+
+    Leading shapes are broadcast: a plan of T steps against N road users at these steps is
+    ``pose_a`` of (T, 3) against ``pose_b`` of (N, T, 3). Rectangles that touch without an area in
+    common do not overlap, nor does anything with one whose pose or size is NaN.
+
+    Args:
+        pose_a: (..., 3 or more) centre x, y, m, and heading, rad; further columns are not read.
+        size_a: (..., 2) length and width, m.
+        pose_b: (..., 3 or more) the same of the other one.
+        size_b: (..., 2) likewise.
+
+    Returns:
+        (...) whether they do.
+    """
+    size_a, size_b = np.asarray(size_a, dtype=np.float64), np.asarray(size_b, dtype=np.float64)
+    turn = pose_b[..., 2] - pose_a[..., 2]
+    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    x, y = pose_b[..., 0] - pose_a[..., 0], pose_b[..., 1] - pose_a[..., 1]
+    meets: BoolArray = np.asarray(True)
+    for pose, own, other in ((pose_a, size_a, size_b), (pose_b, size_b, size_a)):
+        c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+        along, across = np.abs(x * c + y * s), np.abs(y * c - x * s)
+        length = own[..., 0] + other[..., 0] * cos + other[..., 1] * sin
+        width = own[..., 1] + other[..., 0] * sin + other[..., 1] * cos
+        meets = meets & (along < 0.5 * length) & (across < 0.5 * width)
+    return np.asarray(meets)
 
 
 def lanelet_cells(left: FloatArray, right: FloatArray) -> FloatArray:

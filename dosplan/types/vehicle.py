@@ -140,6 +140,9 @@ class VehicleParameters:
         friction circle and within the engine's power. It does not lead into a velocity that is
         too fast for the bend.
 
+        Takes one state or many, whose leading shapes are broadcast: (M, 1, 5) states and (K, 2)
+        inputs give the (M, K, 2) inputs of each state with each input.
+
         Args:
             states: (..., 5) ego states.
             inputs: (..., 2) steering rate, rad/s, and acceleration, m/s2.

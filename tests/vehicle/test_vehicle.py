@@ -234,7 +234,10 @@ def test_many_inputs_are_limited_as_one_by_one(seed: int, dt: float) -> None:
         np.testing.assert_allclose(
             one, limits_one_by_one(many[place], u[place], dt), rtol=1e-12, atol=1e-6
         )
-    # One input for many states, and many inputs for one state.
+    # Each state with each input; one input for many states, and many inputs for one state.
+    each = VEHICLE.clip_input(many[0][:, None], u[1], dt)
+    assert each.shape == (7, 7, 2)
+    np.testing.assert_array_equal(each[2, 5], VEHICLE.clip_input(many[0, 2], u[1, 5], dt))
     np.testing.assert_array_equal(
         VEHICLE.clip_input(many, u[0, 0], dt)[1, 2], VEHICLE.clip_input(many[1, 2], u[0, 0], dt)
     )

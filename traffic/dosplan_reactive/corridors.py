@@ -7,7 +7,8 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.types import USER_HEADING, BoolArray, FloatArray, IntArray
+from dosplan.geometry import rectangles_overlap
+from dosplan.types import BoolArray, FloatArray, IntArray
 from dosplan_reactive.paths import SPACING, Paths
 
 _SIGHT: Final = 130  # Points of a path that are looked at for the ego.
@@ -114,7 +115,7 @@ def ego_beside(
     if not len(row):
         return found
     there = np.column_stack([points[row, point], heading[row, point]])
-    hits = overlap(there, own[row], poses[row], sizes[row])
+    hits = rectangles_overlap(there, own[row], poses[row], sizes[row])
     row, point = row[hits], point[hits]
     inside, low, high = np.array(found.inside), np.array(found.low), np.array(found.high)
     fresh = ~inside[row]  # What the projection has found it knows more exactly.
@@ -125,33 +126,6 @@ def ego_beside(
     np.maximum.at(high, row, front)
     inside[row] = True
     return replace(found, inside=inside, low=low, high=np.maximum(high, found.high))
-
-
-def overlap(
-    one: FloatArray, one_size: FloatArray, other: FloatArray, other_size: FloatArray
-) -> BoolArray:
-    """Whether rectangles overlap (separating-axis test).
-
-    Args:
-        one: (R, 3 or more) centres, m, and headings, rad.
-        one_size: (R, 2) lengths and widths, m.
-        other: (R, 3 or more) the same of the others.
-        other_size: (R, 2) the same.
-
-    Returns:
-        (R,) whether the two overlap.
-    """
-    between = other[:, :2] - one[:, :2]
-    meets = np.ones(len(one), dtype=np.bool_)
-    turn = other[:, USER_HEADING] - one[:, USER_HEADING]
-    cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
-    for pose, size, against in ((one, one_size, other_size), (other, other_size, one_size)):
-        c, s = np.cos(pose[:, USER_HEADING]), np.sin(pose[:, USER_HEADING])
-        along = np.abs(between[:, 0] * c + between[:, 1] * s)
-        across = np.abs(between[:, 1] * c - between[:, 0] * s)
-        meets &= along < 0.5 * (size[:, 0] + against[:, 0] * cos + against[:, 1] * sin)
-        meets &= across < 0.5 * (size[:, 1] + against[:, 0] * sin + against[:, 1] * cos)
-    return meets
 
 
 class Meetings:

@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.geometry.lights import LightIndex
+from dosplan.geometry import LightIndex, rectangles_overlap
 from dosplan.simulation.traffic import Replay, RoadUsers, Traffic, empty_tracks
 from dosplan.types import (
     COLOURS,
@@ -31,7 +31,7 @@ from dosplan.types import (
     Scenario,
     Tracks,
 )
-from dosplan_reactive.corridors import Beside, Meetings, ego_beside, overlap
+from dosplan_reactive.corridors import Beside, Meetings, ego_beside
 from dosplan_reactive.intentions import RAMP, drawn, recorded_minds
 from dosplan_reactive.paths import RIDERS, SPACING, VEHICLES, Paths
 from dosplan_reactive.settings import ReactiveSettings
@@ -436,9 +436,9 @@ class ReactiveTraffic(Traffic):
             near = np.hypot(*(pose[one, :2] - pose[other, :2]).T) < radius[one] + radius[other]
             near &= off[one] | off[other]
             a, b = one[near], other[near]
-            hit = overlap(pose[a], size[a], pose[b], size[b])
+            hit = rectangles_overlap(pose[a], size[a], pose[b], size[b])
             a, b = a[hit], b[hit]
-            already = overlap(before[a], size[a], before[b], size[b])
+            already = rectangles_overlap(before[a], size[a], before[b], size[b])
             a, b = a[~already], b[~already]
             if not len(a):
                 return
@@ -694,7 +694,7 @@ def _is_free(new: FloatArray, size: FloatArray, around: FloatArray, sizes: Float
     """Whether somebody may come onto the scene: nobody is there, and nobody need brake hard."""
     n = len(around)
     own, own_size = np.broadcast_to(new, (n, 4)), np.broadcast_to(size + 0.4, (n, 2))
-    if overlap(own, own_size, around, sizes).any():
+    if rectangles_overlap(own, own_size, around, sizes).any():
         return False
     for one, one_size, other, other_size in (
         (own, np.broadcast_to(size, (n, 2)), around, sizes),

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dosplan_reactive.corridors import overlap
 from dosplan_reactive.intentions import drawn
 from dosplan_reactive.settings import Intentions, ReactiveSettings
 from dosplan_reactive.traffic import ReactiveTraffic
 
+from dosplan.geometry import rectangles_overlap
 from dosplan.scenario.synthetic import LANE_WIDTH, busy_scenario, straight_scenario
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, RoadUserKind, Scenario, Tracks
@@ -162,7 +162,7 @@ def test_nobody_drives_through_another_in_any_future() -> None:
         for users in driven(scenario, standing(-300.0), traffic):
             one, other = np.triu_indices(len(users.ids), 1)
             states, size = users.states, users.size
-            assert not overlap(states[one], size[one], states[other], size[other]).any()
+            assert not rectangles_overlap(states[one], size[one], states[other], size[other]).any()
 
 
 def test_a_future_can_be_watched_without_an_ego_that_drives() -> None:

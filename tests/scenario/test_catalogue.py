@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
+from dosplan.scenario.commonroad import document
 from tests.support.scenes import Problem, write_scenario_xml
 
 
@@ -24,6 +25,26 @@ def test_broken_files_of_one_name_are_told_apart_by_their_paths(tmp_path: Path) 
         "b/broken.xml",
         "ZAM_A-1_1_T-1",
     ]
+
+
+def test_a_file_is_read_again_only_when_it_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_scenario_xml(tmp_path / "a.xml", benchmark_id="ZAM_A-1_1_T-1")
+    write_scenario_xml(tmp_path / "b.xml", benchmark_id="ZAM_B-1_1_T-1")
+    first = find_scenarios(tmp_path)
+    read: list[str] = []
+
+    def read_file(path: Path) -> bytes:
+        read.append(path.name)
+        return path.read_bytes()
+
+    monkeypatch.setattr(document, "read_file", read_file)
+    assert find_scenarios(tmp_path) == first
+    assert read == []
+    path.write_text(path.read_text().replace("ZAM_A-1_1", "ZAM_C-1_1"))  # No byte longer.
+    assert [ref.id for ref in find_scenarios(tmp_path)] == ["ZAM_C-1_1_T-1", "ZAM_B-1_1_T-1"]
+    assert read == ["a.xml"]
 
 
 def test_hidden_files_are_passed_over(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import zlib
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, NoReturn
 from xml.etree import ElementTree
@@ -23,6 +24,8 @@ VERSIONS: Final = ("2018b", "2020a")
 SUFFIXES: Final = (".xml", ".xml.gz")
 MAX_BYTES: Final = 512 * 1024 * 1024
 _CHUNK: Final = 1 << 16
+_KEPT: Final = 1 << 16
+"""Files of which is kept what ``scan`` found, some 30 MB at most."""
 _PROTOBUF: Final = (
     "is a protocol buffer, not XML; write it as XML with commonroad-io "
     "(CommonRoadFileReader, then CommonRoadFileWriter)"
@@ -105,19 +108,39 @@ def _within_limit(path: Path, data: bytes) -> bytes:
     return data
 
 
-def scan(path: Path) -> tuple[str, str, list[int]]:
+def scan(path: Path) -> tuple[str, str, tuple[int, ...]]:
     """Root tag, benchmark id and planning-problem ids, without building a tree.
+
+    A file on this machine is read again only if it has changed: a sweep lists its scenarios for
+    each of its runs.
 
     Args:
         path: The file.
 
     Returns:
-        The three; the benchmark id is empty where the file names none, and the list where it
-        holds no more than one planning problem.
+        The three; the benchmark id is empty where the file names none, and there are no
+        planning-problem ids where it holds no more than one.
 
     Raises:
         ScenarioError: The file cannot be read or is not XML.
     """
+    if type(path) is not type(Path()):  # Behind a URL, where nothing tells that it has changed.
+        return _scan(path)
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise _unreadable(path, error) from None
+    return _scan_unchanged(
+        str(path), found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+    )
+
+
+@lru_cache(maxsize=_KEPT)
+def _scan_unchanged(path: str, *_: int) -> tuple[str, str, tuple[int, ...]]:
+    return _scan(Path(path))
+
+
+def _scan(path: Path) -> tuple[str, str, tuple[int, ...]]:
     header: list[tuple[str, str]] = []
     problems: list[int] = []
 
@@ -136,7 +159,7 @@ def scan(path: Path) -> tuple[str, str, list[int]]:
     parser.StartElementHandler = start
     parser.StartDoctypeDeclHandler = _doctype
     _parse(path, lambda: parser.Parse(data, True))
-    return (*header[0], problems)
+    return (*header[0], tuple(problems))
 
 
 class _FoundError(Exception):

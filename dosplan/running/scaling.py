@@ -101,7 +101,7 @@ def measure_scale(
             out=Path(name) / "unused", source=SUITE, planner=planner, predictor=predictor
         )
         tell(f"{episodes} tiny episodes")  # First, while this process is as small as a runner is.
-        source = _write_tiny(Path(name) / "tiny", episodes // 2)
+        source = write_tiny(Path(name) / "tiny", episodes // 2)
         tiny_config = replace(base, planner="cruise", predictor="none", workers=2)
         tiny = _measure_run(
             replace(tiny_config, out=Path(name) / "many", source=str(source)), 2 * (episodes // 2)
@@ -212,7 +212,7 @@ def _project(
     }
 
 
-def _write_tiny(folder: Path, count: int) -> Path:
+def write_tiny(folder: Path, count: int) -> Path:
     """Writes scenarios of one step on an empty road."""
     folder.mkdir()
     for i in range(count):

@@ -11,15 +11,16 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from dosplan.report import palette
+from dosplan.report.palette import FAINT, INK, ROAD
+from dosplan.report.palette import SET_COLOURS as SETS
+from dosplan.types import Arm, Outcome, RoadUserKind
+
 FOLDER: Final = Path(__file__).with_name("pictures")
-EGO: Final = "#0072b2"
-OTHER: Final = "#8b939c"
-ROAD: Final = "#dfe1e0"
-INK: Final = "#1c2128"
-FAINT: Final = "#5b646e"
-HIT: Final = "#c4161c"
-FREE: Final = "#1a9641"
-SETS: Final = ("#00876c", "#e0a030", "#c2347a")
+EGO: Final = palette.ARM_COLOURS[Arm.WITH_DOS]
+OTHER: Final = palette.KIND_COLOURS[RoadUserKind.CAR]
+HIT: Final = palette.OUTCOME_COLOURS[Outcome.COLLISION]
+FREE: Final = palette.OUTCOME_COLOURS[Outcome.SUCCESS]
 Point = tuple[float, float]
 
 

@@ -15,34 +15,15 @@ import shapely
 
 from dosplan.geometry import lights_at
 from dosplan.types import (
-    COLOURS,
     FloatArray,
     IntArray,
     Lanelet,
-    LightColour,
     LineMarking,
     RoadMap,
     Signals,
     SignRule,
     TrafficSign,
 )
-
-RIM: Final = "#15181c"
-"""Around every lamp, on a light page and on a dark one."""
-
-SIGN_RED: Final = "#c1121f"
-SIGN_YELLOW: Final = "#ffcc00"
-
-_RED, _YELLOW, _GREEN = "#e8132b", "#ffcc00", "#00c17a"  # Far apart in brightness, too.
-_LAMPS: Final = {
-    LightColour.RED: (_RED, _RED),
-    LightColour.YELLOW: (_YELLOW, _YELLOW),
-    LightColour.RED_YELLOW: (_RED, _YELLOW),
-    LightColour.GREEN: (_GREEN, _GREEN),
-    LightColour.INACTIVE: ("#8a929b", "#8a929b"),
-}
-LAMP_COLOURS: Final = tuple(_LAMPS[colour] for colour in COLOURS)
-"""Of a lamp, by its colour's index in ``COLOURS``: its disc, and the smaller one inside."""
 
 
 class Look(StrEnum):

@@ -31,7 +31,7 @@ from matplotlib.lines import Line2D
 
 from dosplan.plugins.loops import choose_loop
 from dosplan.report.figures import style
-from dosplan.report.film.scene import ARM_COLOURS
+from dosplan.report.palette import ARM_COLOURS, INK
 from dosplan.results.comparison import compare_rows
 from dosplan.results.folder import RunFolder
 from dosplan.results.intervals import metric_interval
@@ -401,7 +401,7 @@ def draw(content: Mapping[str, Any]) -> Figure:
         for axes in row:
             axes.set_ylim(low.min(), high.max())
     arms = [Line2D([], [], color=ARM_COLOURS[arm], marker=style.ARM_MARKERS[arm]) for arm in _ARMS]
-    dashed = Line2D([], [], color=style.INK, linestyle="--")
+    dashed = Line2D([], [], color=INK, linestyle="--")
     names = [ARM_TITLES[arm].replace("DOS", "sets") for arm in _ARMS]
     figure.legend(
         [*arms, dashed],

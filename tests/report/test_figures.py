@@ -134,46 +134,55 @@ def test_every_method_with_sets_is_in_the_trade_off_where_it_was_measured(
 ) -> None:
     figure = trade_off.draw(published)
     with_sets = {row["method"] for row in rows if row["osa"]}
-    shown: list[set[str]] = []
-    for h, axes in enumerate(figure.axes):
+    shown: list[set[str]] = [set() for _ in range(4)]
+    assert len(figure.axes) == 2 * len(shown)  # The methods, and the paper's loss.
+    for panel, axes in enumerate(figure.axes):
+        h = panel % len(shown)
         at = {method: _of(rows, method)[h] for method in with_sets}
         by_point: dict[tuple[float, float], set[str]] = {}  # Two circles are one at 1 s.
         for method, row in at.items():
             by_point.setdefault((row["osa"], 100.0 * row["cr"]), set()).add(method)
-        found: set[str] = set()
         for _, points, bars in _bars(axes):
             methods = [by_point[x, y] for x, y in points.tolist()]  # Nothing is made up.
             assert _matches(points, bars, [at[min(same)] for same in methods])
-            found |= set().union(*methods)
-        shown.append(found)
+            shown[h] |= set().union(*methods)
     assert shown == [with_sets] * 4
 
 
 def test_curves_go_by_rising_parameter(published: Published) -> None:
-    curves = {c.title: c.labels for c in trade_off.curves(published.evaluation("prediction"))}
-    assert curves == {
-        "PR, z = 0.5, 1, 1.5, 2": ("PR z=0.5", "PR z=1.0", "PR z=1.5", "PR z=2.0"),
-        "SA, z = 1, 1.5, 2": ("SA z=1.0", "SA z=1.5", "SA z=2.0"),
-        "circle, r = 1, 2 m": ("circle r=1", "circle r=2"),
-        "circle v1, z = 0.7, 1": ("circle v1 z=0.7", "circle v1 z=1.0"),
-        "circle v2, z = 1, 1.5": ("circle v2 z=1.0", "circle v2 z=1.5"),
-        r"DOS ellipse, $\alpha$ = 3, k = 0.01, 0.05, 0.1, 0.2, 0.5": (
-            "DOS ellipse k=0.01 alpha=3",
-            "DOS ellipse k=0.05 alpha=3",
-            "DOS ellipse",
-            "DOS ellipse k=0.2 alpha=3",
-            "DOS ellipse k=0.5 alpha=3",
+    evaluation = published.evaluation("prediction")
+    over_k = (
+        "DOS ellipse k=0.01 alpha=3",
+        "DOS ellipse k=0.05 alpha=3",
+        "DOS ellipse",
+        "DOS ellipse k=0.2 alpha=3",
+        "DOS ellipse k=0.5 alpha=3",
+    )
+    curves = [curve.labels for curve in trade_off.methods(evaluation) if len(curve.labels) > 1]
+    assert curves == [
+        ("PR z=0.5", "PR z=1.0", "PR z=1.5", "PR z=2.0"),
+        ("SA z=1.0", "SA z=1.5", "SA z=2.0"),
+        ("circle r=1", "circle r=2"),
+        ("circle v1 z=0.7", "circle v1 z=1.0"),
+        ("circle v2 z=1.0", "circle v2 z=1.5"),
+        over_k,
+        (
+            "DOS coverage, calibrated at 70 %",
+            "DOS coverage, calibrated at 90 %",
+            "DOS coverage, calibrated at 90 % over 4 s",
         ),
-        r"DOS ellipse, k = 0.1, $\alpha$ = 1, 2, 3": (
-            "DOS ellipse k=0.1 alpha=1",
-            "DOS ellipse k=0.1 alpha=2",
-            "DOS ellipse",
+        (
+            "DOS union, as driven (calibrated at 70 %)",
+            "DOS union, calibrated at 90 %",
+            "DOS union, calibrated at 90 % over 4 s",
         ),
-        r"DOS ellipse, k = 0.01, $\alpha$ = 3, 10": (
-            "DOS ellipse k=0.01 alpha=3",
-            "DOS ellipse k=0.01 alpha=10",
-        ),
-    }
+    ]
+    curves = [curve.labels for curve in trade_off.of_paper(evaluation) if len(curve.labels) > 1]
+    assert curves == [
+        over_k,
+        ("DOS ellipse k=0.1 alpha=1", "DOS ellipse k=0.1 alpha=2", "DOS ellipse"),
+        ("DOS ellipse k=0.01 alpha=3", "DOS ellipse k=0.01 alpha=10"),
+    ]
 
 
 def test_coverage_by_speed_is_that_of_each_bin(
@@ -369,11 +378,13 @@ def test_sets_of_different_horizons_are_a_file_error(
 
 def test_a_label_that_names_no_number_is_of_no_curve(results: Path, tmp_path: Path) -> None:
     content = read_json(results / "prediction" / "bench.json")
-    before = trade_off.curves(Published(results).evaluation("prediction"))
+    before = Published(results).evaluation("prediction")
     odd = ("PR z=1.2.3", "PR z=.", "DOS ellipse k=. alpha=3", "DOS ellipse k=0.1 alpha=1.")
     content["data"]["methods"] += [{"label": label, "options": {}} for label in odd]
     write_json(tmp_path / "prediction" / "bench.json", content)
-    assert trade_off.curves(Published(tmp_path).evaluation("prediction")) == before
+    after = Published(tmp_path).evaluation("prediction")
+    for curves in (trade_off.methods, trade_off.of_paper):
+        assert curves(after) == curves(before)
 
 
 def test_a_method_that_was_not_evaluated_is_named(results: Path, tmp_path: Path) -> None:

@@ -18,14 +18,13 @@ from shapely.geometry import Point, Polygon, box
 
 from dosplan.cli.main import BAD_INPUT, FAILED, OK, main
 from dosplan.geometry import rectangle_corners
+from dosplan.report import palette
 from dosplan.report.film.drives import Take, takes_of_scenario
 from dosplan.report.film.files import write_gif
 from dosplan.report.film.film import Film, Picture
 from dosplan.report.film.framing import frame_scene
-from dosplan.report.film.layers import SET_COLOURS
-from dosplan.report.film.panel import USER_COLOURS
-from dosplan.report.film.scene import ARM_COLOURS, EGO_COLOUR
-from dosplan.report.road_paint import LAMP_COLOURS
+from dosplan.report.film.layers import SET_RAMP
+from dosplan.report.palette import ARM_COLOURS, EGO_COLOUR, KIND_COLOURS, LAMP_COLOURS
 from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
@@ -57,7 +56,7 @@ from tests.support.scenes import User, driving, write_scenario_xml
 from tests.support.traffic import ShyTraffic, braking_before, followed
 
 VEHICLE = VehicleParameters()
-ROAD = np.array(to_rgb("#dfe1e0"))
+ROAD = np.array(to_rgb(palette.ROAD))
 NAME = "ZAM_Test-0_1_T-1"
 
 
@@ -117,7 +116,7 @@ def test_everybody_has_its_colour_where_the_recording_says(tmp_path: Path) -> No
             ego = pixel(film, picture, beside(take, step), panel)
             np.testing.assert_array_equal(ego, to_rgb(take.colour))
             other = pixel(film, picture, car, panel)
-            np.testing.assert_allclose(other, to_rgb(USER_COLOURS[RoadUserKind.CAR]), atol=3e-3)
+            np.testing.assert_allclose(other, to_rgb(KIND_COLOURS[RoadUserKind.CAR]), atol=3e-3)
             # Where the ego was at the start there is the road again, but for the driven line.
             gone = pixel(film, picture, beside(take, 0), panel)
             assert np.allclose(gone, ROAD, atol=3e-3) == (step > 0)
@@ -131,12 +130,12 @@ def test_sets_are_translucent_and_have_the_colour_of_their_step(tmp_path: Path) 
     # The car is at 30 m; 2.5 s ahead, the fifth of eight that are recorded, at 50 m. The set's
     # lateral semi-axis is 0.55 m there and its neighbours are 4 m away, so that it is seen alone.
     place = (50.0, 0.4)
-    colour = 0.75 * ROAD + 0.25 * np.array(SET_COLOURS(4.0 / 7.0)[:3])
+    colour = 0.75 * ROAD + 0.25 * np.array(SET_RAMP(4.0 / 7.0)[:3])
     np.testing.assert_allclose(pixel(film, picture, place, 1), colour, atol=6e-3)
     np.testing.assert_allclose(pixel(film, picture, place, 0), ROAD, atol=3e-3)
     # The other arm has a point there, in the full colour.
     point = pixel(film, picture, (50.0, 0.0), 0)
-    np.testing.assert_allclose(point, SET_COLOURS(4.0 / 7.0)[:3], atol=6e-3)
+    np.testing.assert_allclose(point, SET_RAMP(4.0 / 7.0)[:3], atol=6e-3)
 
 
 def test_the_lights_of_a_film_change_as_they_did(tmp_path: Path) -> None:
@@ -235,12 +234,12 @@ def test_the_recording_alone_shows_the_start_and_the_goal(tmp_path: Path) -> Non
     scene = following(final_step=15)
     goal = replace(scene.task.goals[0], region=box(60.0, -1.5, 70.0, 1.5))
     scene = replace(scene, task=replace(scene.task, goals=(goal,)))
-    film = Film([Take("recorded traffic", "#d7191c", scene)], "title", scale=2.0)
+    film = Film([Take("recorded traffic", EGO_COLOUR, scene)], "title", scale=2.0)
     assert list(film.steps) == list(range(16))
     assert film.moment == 0
     for step in (0, 15):
         ego = pixel(film, film.picture(step), beside(film.panels[0].take, 0))
-        np.testing.assert_array_equal(ego, to_rgb("#d7191c"))
+        np.testing.assert_array_equal(ego, to_rgb(EGO_COLOUR))
     (left, right), (bottom, top) = film.panels[0].axes.get_xlim(), film.panels[0].axes.get_ylim()
     assert box(left, bottom, right, top).contains(goal.region)
 
@@ -442,7 +441,7 @@ def test_without_a_planning_problem_there_is_no_ego_and_all_is_in_view(tmp_path:
     assert not (picture == np.round(255.0 * np.array(to_rgb(EGO_COLOUR)))).all(axis=-1).any()
     here = np.array([60.0, 0.0])
     np.testing.assert_array_equal(
-        pixel(film, picture, here), to_rgb(USER_COLOURS[take.tracks.kinds[0]])
+        pixel(film, picture, here), to_rgb(KIND_COLOURS[take.tracks.kinds[0]])
     )
     assert film.panels[0].kinds_in_view() == {take.tracks.kinds[0]}
     assert len(film.steps) == STEPS + 1

@@ -23,13 +23,9 @@ from shapely.geometry import box
 from dosplan.geometry import lanelet_union, rectangle_corners
 from dosplan.report.film.layers import Lamps, Sets
 from dosplan.report.film.paint import LAMP_HANDLER
-from dosplan.report.film.scene import (
-    EGO_COLOUR,
-    KIND_COLOURS,
-    draw_scene,
-    legend_handles,
-)
-from dosplan.report.road_paint import LAMP_COLOURS, lamps
+from dosplan.report.film.scene import draw_scene, legend_handles
+from dosplan.report.palette import EGO_COLOUR, KIND_COLOURS, LAMP_COLOURS
+from dosplan.report.road_paint import lamps
 from dosplan.scenario.synthetic import busy_scenario
 from dosplan.types import COLOURS, GoalState, LightColour, RoadMap, Scenario
 from dosplan.vehicle import VehicleParameters

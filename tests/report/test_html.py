@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 
 from dosplan.cli import main as cli
 from dosplan.cli.main import main
-from dosplan.report.film.scene import ARM_COLOURS
 from dosplan.report.html import page
 from dosplan.report.html.cases import Case, change_of
 from dosplan.report.html.codec import METRE, differences, pack, polyline
@@ -27,7 +26,7 @@ from dosplan.report.html.player import encode_episode
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.html.scenarios import families, find_scenes
 from dosplan.report.html.write import write_report
-from dosplan.report.road_paint import LAMP_COLOURS, SIGN_RED
+from dosplan.report.palette import ARM_COLOURS, LAMP_COLOURS, SIGN_RED
 from dosplan.results.drive import Drive
 from dosplan.results.markdown import ARMS_SIDE_BY_SIDE
 from dosplan.results.recording import Recording

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dosplan.report.palette import LAMP_COLOURS
 from dosplan.report.road_paint import (
-    LAMP_COLOURS,
     Look,
     crosswalks,
     lamps,

@@ -15,6 +15,8 @@ from matplotlib.lines import Line2D
 
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Evaluation, Published
+from dosplan.report.film.layers import SET_RAMP
+from dosplan.report.palette import INK, RULE
 from dosplan.system.files import FileError
 from dosplan.types import FloatArray
 
@@ -50,7 +52,7 @@ def draw(published: Published) -> Figure:
             raise FileError(f"{evaluation.path} holds no level to draw")
     figure = style.new_figure(style.COLUMN, 3.3)
     axes = figure.add_subplot()
-    axes.plot([0.0, 100.0], [0.0, 100.0], color=style.FAINT, linewidth=1.0, zorder=1)
+    axes.plot([0.0, 100.0], [0.0, 100.0], color=RULE, linewidth=1.0, zorder=1)
     _curves(axes, calibrated, levels, **_CALIBRATED)
     _curves(axes, others, gaussian, **_GAUSSIAN)
     axes.set(
@@ -69,7 +71,8 @@ def _curves(axes: Axes, evaluation: Evaluation, levels: dict[float, str], **look
     """One curve for each horizon."""
     asked = np.array(sorted(levels))
     sets = [evaluation.of(levels[level]) for level in asked.tolist()]
-    for h, colour in zip(range(len(sets[0].horizon)), style.HORIZON_COLOURS, strict=True):
+    horizons = sets[0].horizon
+    for h, colour in enumerate(SET_RAMP(horizons / horizons[-1])):
         coverage = np.array([one.coverage[h] for one in sets])
         half = np.array([one.half[h] for one in sets])
         style.plot_interval(axes, asked, coverage, half, color=colour, **look)
@@ -77,10 +80,10 @@ def _curves(axes: Axes, evaluation: Evaluation, levels: dict[float, str], **look
 
 def _keys(horizons: FloatArray) -> list[Line2D]:
     return [
-        Line2D([], [], color=style.INK, label="DOS, calibrated", **_CALIBRATED),  # type: ignore[arg-type]
-        Line2D([], [], color=style.INK, label="PR, as Gaussian", **_GAUSSIAN),  # type: ignore[arg-type]
+        Line2D([], [], color=INK, label="DOS, calibrated", **_CALIBRATED),  # type: ignore[arg-type]
+        Line2D([], [], color=INK, label="PR, as Gaussian", **_GAUSSIAN),  # type: ignore[arg-type]
         *(
             Line2D([], [], color=colour, linewidth=3.0, label=f"{horizon:g} s ahead")
-            for horizon, colour in zip(horizons, style.HORIZON_COLOURS, strict=True)
+            for horizon, colour in zip(horizons, SET_RAMP(horizons / horizons[-1]), strict=True)
         ),
     ]

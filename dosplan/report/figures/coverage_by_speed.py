@@ -10,13 +10,14 @@ from matplotlib.figure import Figure
 from dosplan.evaluation.groups import SPEED_BINS
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
+from dosplan.report.palette import DOS, DOS_PAPER, INK, PR
 
-# Label: what the legend says, colour, marker.
+# Label: what the legend says, colour, marker, how it is filled.
 METHODS: Final = {
-    "PR z=1.0": ("PR, z = 1", style.INK, "x"),
-    "DOS ellipse": ("DOS ellipse", style.VERMILION, "o"),
-    "DOS coverage": ("DOS, coverage loss", style.SKY, "D"),
-    "DOS coverage, calibrated at 90 %": ("DOS, calibrated at 90 %", style.BLUE, "s"),
+    "PR z=1.0": ("PR, z = 1", PR, "x", "none"),
+    "DOS ellipse": ("DOS, the paper's loss", DOS_PAPER, "o", "full"),
+    "DOS coverage": ("DOS, coverage loss", DOS, "D", "none"),
+    "DOS coverage, calibrated at 90 %": ("the same, calibrated at 90 %", DOS, "s", "full"),
 }
 _APART: Final = 0.17  # Between the methods of a bin.
 _LEVEL: Final = 90.0
@@ -41,8 +42,8 @@ def draw(published: Published) -> Figure:
     figure = style.new_figure(style.PAGE, 2.3)
     panels = figure.subplots(1, len(horizons), sharey=True, squeeze=False)[0]
     for h, (axes, horizon) in enumerate(zip(panels, horizons, strict=True)):
-        axes.axhline(_LEVEL, color=style.INK, linewidth=0.7, linestyle=(0, (4, 3)))
-        for i, (label, (title, colour, marker)) in enumerate(METHODS.items()):
+        axes.axhline(_LEVEL, color=INK, linewidth=0.7, linestyle=(0, (4, 3)))
+        for i, (label, (title, colour, marker, fill)) in enumerate(METHODS.items()):
             found = [evaluation.of(label, name) for name in bins]
             style.plot_interval(
                 axes,
@@ -51,6 +52,7 @@ def draw(published: Published) -> Figure:
                 np.array([sets.half[h] for sets in found]),
                 color=colour,
                 marker=marker,
+                fillstyle=fill,
                 linestyle="none",
                 label=title,
             )

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
+from dosplan.report.palette import INK, SERIES
 from dosplan.system.files import FileError
 
 # What grows: label of the axis, whether it is logarithmic, and what is left out: the horizon is
@@ -20,11 +21,11 @@ PANELS: Final[dict[str, tuple[str, bool, frozenset[str]]]] = {
 }
 # Parts of a cycle: what the legend says, colour, marker, line.
 PARTS: Final = {
-    "cycle_p95": ("cycle, 95th percentile", style.BLUE, "o", ":"),
-    "cycle": ("cycle", style.BLUE, "o", "-"),
-    "solver": ("solver", style.VERMILION, "s", "-"),
-    "predict": ("prediction", style.GREEN, "^", "-"),
-    "plan_rest": ("rest of the plan", style.PURPLE, "D", "-"),
+    "cycle_p95": ("cycle, 95th percentile", INK, "o", ":"),
+    "cycle": ("cycle", INK, "o", "-"),
+    "solver": ("solver", SERIES[3], "s", "-"),
+    "predict": ("prediction", SERIES[1], "^", "-"),
+    "plan_rest": ("rest of the plan", SERIES[2], "D", "-"),
 }
 
 

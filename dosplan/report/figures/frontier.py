@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dosplan.report.figures import style
+from dosplan.report.palette import FAINT, INK, SERIES
 from dosplan.results.comparison import CompareError
 from dosplan.results.markdown import ARM_TITLES
 from dosplan.results.table import Row, Table
@@ -28,9 +29,6 @@ BARS_AT: Final = 90.0
 """Coverage, %, of the point of a curve that has its intervals; otherwise the one next to it."""
 _UP: Final = (("collision", "collisions, %"), ("at_fault_collision", "at-fault collisions, %"))
 _ACROSS: Final = (("velocity", "velocity, m/s"), ("success", "success, %"))
-_COLOURS: Final = (
-    style.VERMILION, style.BLUE, style.GREEN, style.ORANGE, style.PURPLE, style.SKY, style.INK,
-)  # fmt: skip
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 _POINT_MARKERS: Final = ("s", "D", "p", "h", "8")
 _SMALLEST, _LARGEST = 2.0, 5.5  # Markers of the lowest and the highest coverage.
@@ -150,7 +148,7 @@ def draw(table: Table) -> Figure:
                 axes.set_xlim(right=min(axes.get_xlim()[1], 101.0))
             axes.text(
                 *(0.015, 0.97), "better: \N{SOUTH EAST ARROW}", transform=axes.transAxes,
-                ha="left", va="top", color="#777777", fontsize=7,
+                ha="left", va="top", color=FAINT, fontsize=7,
             )  # fmt: skip
             axes.set_xlabel(x_title if up == _UP[-1][0] else "")
             axes.set_ylabel(y_title if across == _ACROSS[0][0] else "")
@@ -186,9 +184,9 @@ def _looks(found: Sequence[Method]) -> dict[str, dict[str, Any]]:
     curves = [method for method in found if method.levels]
     looks: dict[str, dict[str, Any]] = {
         method.title: {
-            "color": _COLOURS[i % len(_COLOURS)],
+            "color": SERIES[i % len(SERIES)],
             "marker": _MARKERS[i % len(_MARKERS)],
-            "linestyle": ("-", "--", ":")[i // len(_COLOURS) % 3],
+            "linestyle": ("-", "--", ":")[i // len(SERIES) % 3],
         }
         for i, method in enumerate(curves)
     }
@@ -196,7 +194,7 @@ def _looks(found: Sequence[Method]) -> dict[str, dict[str, Any]]:
     for i, method in enumerate(points):
         ranked = method.rows[0].ranked
         looks[method.title] = {
-            "color": style.INK,
+            "color": INK,
             "marker": _POINT_MARKERS[i % len(_POINT_MARKERS)] if ranked else "*",
             "linestyle": "none",
             "markerfacecolor": "white",
@@ -255,7 +253,7 @@ def _mark(axes: Axes, base: Row, names: tuple[str, str]) -> None:
     """Draws lines through the baseline."""
     x, y = _place(base, names)
     for draw_line, at in ((axes.axvline, x), (axes.axhline, y)):
-        draw_line(at, color="#999999", linestyle="--", linewidth=0.6, zorder=1.0)
+        draw_line(at, color=FAINT, linestyle="--", linewidth=0.6, zorder=1.0)
 
 
 def _scaled(name: str, value: float | None) -> float:

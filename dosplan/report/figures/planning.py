@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
-from dosplan.report.film.scene import ARM_COLOURS
+from dosplan.report.palette import ARM_COLOURS
 from dosplan.results.intervals import Interval, metric_interval
 from dosplan.results.markdown import ARM_TITLES
 from dosplan.scoring.metrics import find_metric

@@ -16,8 +16,9 @@ from dosplan.evaluation.windows import STEPS
 from dosplan.plugins.registry import create_predictor
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
-from dosplan.report.film.layers import SET_COLOURS, Sets, Users, on_scene
-from dosplan.report.film.scene import KIND_COLOURS, draw_map
+from dosplan.report.film.layers import SET_RAMP, Sets, Users, on_scene
+from dosplan.report.film.scene import draw_map
+from dosplan.report.palette import INK, KIND_COLOURS
 from dosplan.scenario import find_scenarios, load_scenario
 from dosplan.simulation.world import World
 from dosplan.types import STEP_SECONDS, Occupancy, RoadUserKind, Scenario
@@ -41,7 +42,7 @@ SHOWN: Final = np.arange(4, STEPS, 5)
 _COLUMNS: Final = 4
 _BAR: Final = 10.0  # m
 _FUTURE: Final[dict[str, Any]] = {
-    "color": style.INK, "linewidth": 0.6, "marker": ".", "markersize": 2.5
+    "color": INK, "linewidth": 0.6, "marker": ".", "markersize": 2.5
 }  # fmt: skip
 
 
@@ -68,10 +69,10 @@ def draw(published: Published) -> Figure:
         _draw_sets(axes, predicted_sets(scenario, options))
         axes.set_title(title)
     _draw_scale(panels[0, 0])
-    colours = ScalarMappable(Normalize(0.0, STEPS * STEP_SECONDS), SET_COLOURS)
+    colours = ScalarMappable(Normalize(0.0, STEPS * STEP_SECONDS), SET_RAMP)
     figure.colorbar(colours, ax=panels, aspect=30, pad=0.01, label="time ahead, s")
     keys = [
-        Patch(facecolor=KIND_COLOURS[RoadUserKind.CAR], edgecolor=style.INK, label="car"),
+        Patch(facecolor=KIND_COLOURS[RoadUserKind.CAR], edgecolor=INK, label="car"),
         Line2D([], [], label="recorded future, a dot each second", **_FUTURE),
     ]
     figure.legend(handles=keys, loc="outside lower center", ncols=2)
@@ -125,5 +126,5 @@ def _draw_sets(axes: Axes, occupancy: Occupancy) -> None:
 
 def _draw_scale(axes: Axes) -> None:
     x, y = VIEW[0][0] + 3.0, VIEW[1][0] + 3.0
-    axes.plot([x, x + _BAR], [y, y], color=style.INK, linewidth=1.5)
+    axes.plot([x, x + _BAR], [y, y], color=INK, linewidth=1.5)
     axes.text(x + 0.5 * _BAR, y + 1.0, f"{_BAR:g} m", ha="center", va="bottom", size=7)

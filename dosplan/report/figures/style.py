@@ -1,7 +1,7 @@
 """One style for all figures: sized for the columns of a paper, and safe for the colour-blind.
 
-Colours are those of Okabe and Ito ("Color Universal Design", 2008); no figure distinguishes two
-things by colour alone.
+What a colour means is said in ``dosplan.report.palette``; no figure distinguishes two things by
+colour alone.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from dosplan.report.palette import GRID, INK
 from dosplan.system.files import atomic_file
 from dosplan.types import Arm, FloatArray
 
@@ -28,12 +29,6 @@ COLUMN: Final = 3.5
 PAGE: Final = 7.16
 """Width of a page of two columns, inches."""
 
-INK: Final = "#222222"
-FAINT: Final = "#c9c9c9"
-BLUE, ORANGE, GREEN = "#0072b2", "#e69f00", "#009e73"
-VERMILION, PURPLE, SKY = "#d55e00", "#cc79a7", "#56b4e9"
-HORIZON_COLOURS: Final = ("#9ecae1", "#4292c6", "#08519c", "#041f4a")
-"""For 1, 2, 3 and 4 s ahead: the further, the darker."""
 ARM_MARKERS: Final = MappingProxyType({Arm.WITH_DOS: "o", Arm.WITHOUT_DOS: "s"})
 
 _STYLE: Final = {
@@ -55,7 +50,7 @@ _STYLE: Final = {
     "axes.spines.right": False,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "grid.color": "#e4e4e4",
+    "grid.color": GRID,
     "grid.linewidth": 0.5,
     "xtick.color": INK,
     "ytick.color": INK,

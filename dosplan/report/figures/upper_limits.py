@@ -8,18 +8,19 @@ from matplotlib.figure import Figure
 
 from dosplan.report.figures import style
 from dosplan.report.figures.sources import Published
+from dosplan.report.palette import CIRCLE, PR, SERIES
 from dosplan.system.files import FileError
 
 MODEL: Final = "trajectory network"
 BESIDE: Final = "PR z=1.0"
 # Shapes of `dosplan.evaluation.limits`: title, colour, marker, line.
 SHAPES: Final = {
-    "circle": ("circle", style.VERMILION, "o", "-"),
-    "theta=pi/4": (r"ellipse, $\theta$ = $\pi$/4", style.ORANGE, "D", "-"),
-    "theta=0": (r"ellipse, $\theta$ = 0", style.GREEN, "s", "-"),
-    "v1": ("ellipse, v1", style.PURPLE, "^", "--"),
-    "v2": ("ellipse, v2", style.SKY, "v", ":"),
-    "free": (r"ellipse, $\theta$ free", style.BLUE, "P", "-"),
+    "circle": ("circle", CIRCLE, "o", "-"),
+    "theta=pi/4": (r"ellipse, $\theta$ = $\pi$/4", SERIES[3], "D", "-"),
+    "theta=0": (r"ellipse, $\theta$ = 0", SERIES[1], "s", "-"),
+    "v1": ("ellipse, v1", SERIES[2], "^", "--"),
+    "v2": ("ellipse, v2", SERIES[5], "v", ":"),
+    "free": (r"ellipse, $\theta$ free", SERIES[0], "P", "-"),
 }
 
 
@@ -39,7 +40,7 @@ def draw(published: Published) -> Figure:
     beside = evaluation.of(BESIDE)
     figure = style.new_figure(style.COLUMN, 3.2)
     axes = figure.add_subplot()
-    axes.plot(beside.horizon, beside.area, "x-.", color=style.INK, label="PR, z = 1 (as predicted)")
+    axes.plot(beside.horizon, beside.area, "x-.", color=PR, label="PR, z = 1 (as predicted)")
     for shape, (title, colour, marker, line) in SHAPES.items():
         if (MODEL, "all", shape) not in evaluation.limits:
             raise FileError(f"{evaluation.path} has no upper limits {shape!r} of {MODEL!r}")

@@ -11,8 +11,7 @@ import shapely
 
 from dosplan.geometry import rectangle_corners
 from dosplan.plugins.registry import create_planner, create_predictor
-from dosplan.report.film.layers import INK
-from dosplan.report.film.scene import ARM_COLOURS, EGO_COLOUR
+from dosplan.report.palette import ARM_COLOURS, EGO_COLOUR, INK
 from dosplan.results.drive import Drive, find_drives
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import read_manifest

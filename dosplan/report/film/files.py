@@ -13,8 +13,8 @@ from PIL import Image
 
 from dosplan.report.film.drives import Take
 from dosplan.report.film.film import Film
-from dosplan.report.film.layers import INK, SET_COLOURS
-from dosplan.report.film.panel import USER_COLOURS
+from dosplan.report.film.layers import SET_RAMP
+from dosplan.report.palette import INK, KIND_COLOURS, WHITE
 from dosplan.system.files import FileError, atomic_file, write_bytes
 from dosplan.types import STEP_SECONDS
 
@@ -146,8 +146,8 @@ def _write_png(film: Film, step: int, out: Path) -> None:
 
 def _palette(film: Film, takes: Sequence[Take]) -> Image.Image:
     """A palette for all pictures of a film, in which the colours that mean something are exact."""
-    wanted = [*(take.colour for take in takes), *USER_COLOURS.values(), INK, "white"]
-    ramp = SET_COLOURS(np.linspace(0.0, 1.0, _SHADES))[:, :3]
+    wanted = [*(take.colour for take in takes), *KIND_COLOURS.values(), INK, WHITE]
+    ramp = SET_RAMP(np.linspace(0.0, 1.0, _SHADES))[:, :3]
     keys = np.concatenate([[to_rgb(colour) for colour in wanted], ramp])
     steps = np.linspace(film.steps[0], film.steps[-1], _SAMPLES).round().astype(int)
     pictures = [film.picture(int(step)) for step in np.unique([*steps, film.moment])]

@@ -18,16 +18,16 @@ from matplotlib.patches import Patch
 
 from dosplan.report.film.drives import Take
 from dosplan.report.film.framing import Framing, frame_scene
-from dosplan.report.film.layers import INK, SET_COLOURS
+from dosplan.report.film.layers import SET_RAMP
 from dosplan.report.film.paint import LAMP_HANDLER, paint_keys
-from dosplan.report.film.panel import USER_COLOURS, Panel
-from dosplan.report.film.scene import GOAL_COLOUR, off_road_key
+from dosplan.report.film.panel import Panel
+from dosplan.report.film.scene import off_road_key
+from dosplan.report.palette import FAINT, GOAL_COLOUR, INK, KIND_COLOURS, WHITE
 from dosplan.types import STEP_SECONDS, Outcome
 
 Picture = npt.NDArray[np.uint8]
 """(height, width, 3) red, green and blue."""
 
-_FAINT: Final = "#626b76"
 _RAMP: Final = 110.0  # Pixels; width of the scale of colours.
 _TEXT: Final = 9.0  # Points.
 _KEY: Final = 112.0  # Pixels; about the width of a key of the legend.
@@ -54,7 +54,7 @@ class Film:
         framing = frame_scene([take.in_view for take in takes], takes[0].has_task)
         width, height = framing.size
         self._figure = Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0 * scale)
-        self._figure.set_facecolor("white")
+        self._figure.set_facecolor(WHITE)
         self._canvas: Any = FigureCanvasAgg(self._figure)  # Its methods have no types.
         self.size = self._canvas.get_width_height()
         self.steps = range(min(t.start for t in takes), max(t.end for t in takes) + 1)
@@ -68,7 +68,7 @@ class Film:
             framing.title / height,
             title,
             size=_TEXT,
-            color=_FAINT,
+            color=FAINT,
             va="center",
         )
         self._draw_legend(framing, takes)
@@ -125,7 +125,7 @@ class Film:
         )
         keys += [
             Patch(facecolor=colour, edgecolor=INK, linewidth=0.4, label=kind.value)
-            for kind, colour in USER_COLOURS.items()
+            for kind, colour in KIND_COLOURS.items()
             if kind in kinds
         ]
         self._figure.legend(
@@ -151,11 +151,11 @@ class Film:
         width, height = framing.size
         left, low = width - framing.left - _RAMP - 28.0, framing.title - 4.0
         axes = self._figure.add_axes((left / width, low / height, _RAMP / width, 8.0 / height))
-        axes.imshow(np.linspace(0.0, 1.0, 64)[None], cmap=SET_COLOURS, aspect="auto")
+        axes.imshow(np.linspace(0.0, 1.0, 64)[None], cmap=SET_RAMP, aspect="auto")
         axes.set_axis_off()
         first = f"predicted set or position, ahead by  {ahead.min():g}"
         for x, text, align in ((-0.04, first, "right"), (1.04, f"{ahead.max():g} s", "left")):
             axes.text(
-                x, 0.45, text, ha=align, va="center", size=_TEXT, color=_FAINT,
+                x, 0.45, text, ha=align, va="center", size=_TEXT, color=FAINT,
                 transform=axes.transAxes,
             )  # fmt: skip

@@ -16,14 +16,13 @@ from matplotlib.collections import EllipseCollection, PathCollection, PolyCollec
 from matplotlib.colors import LinearSegmentedColormap
 
 from dosplan.geometry import rectangle_corners, to_world
-from dosplan.report.road_paint import LAMP_COLOURS, RIM, Lamp
+from dosplan.report.palette import INK, LAMP_COLOURS, LAMP_RIM, SET_COLOURS, WHITE
+from dosplan.report.road_paint import Lamp
 from dosplan.types import FloatArray, IntArray, RoadUserKind, Tracks
 
-INK: Final = "#222222"
-SET_COLOURS: Final = LinearSegmentedColormap.from_list("sets", ["#00876c", "#e0a030", "#c2347a"])
+SET_RAMP: Final = LinearSegmentedColormap.from_list("sets", SET_COLOURS)
 """Colour of a set by the time at which it is to hold, from the soonest to the latest shown."""
 
-_NOSE: Final = "#ffffff"
 _EDGE: Final = (1.0, 1.0, 1.0, 0.9)  # Sets are translucent, so that those below are seen.
 _AREA: Final = (1.0, 1.0, 1.0, 0.25)
 _LAMP: Final = 46.0  # Area of a traffic light, square points.
@@ -43,7 +42,7 @@ class Bodies:
         """
         self._line = line
         self._bodies = PolyCollection([], zorder=zorder)
-        self._noses = PolyCollection([], facecolors=_NOSE, alpha=0.8, zorder=zorder)
+        self._noses = PolyCollection([], facecolors=WHITE, alpha=0.8, zorder=zorder)
         self.artists: tuple[Artist, ...] = (self._bodies, self._noses)
         axes.add_collection(self._bodies, autolim=False)
         axes.add_collection(self._noses, autolim=False)
@@ -154,7 +153,7 @@ class Sets:
             centres: (M, 2) m.
             semi_axes: (M, 2) m.
             angles: (M,) direction of the first semi-axis, rad.
-            shares: (M,) place of each on ``SET_COLOURS``, 0 to 1: higher, the later it is to hold.
+            shares: (M,) place of each on ``SET_RAMP``, 0 to 1: higher, the later it is to hold.
             weights: (M,) how likely each is, 0 to 1: the less, the fainter.
         """
         # Sets grow with time: the far ones are drawn first, so that none hides another.
@@ -162,7 +161,7 @@ class Sets:
         order = order[np.isfinite(centres[order]).all(axis=-1)]
         extended = (semi_axes[order] > 0.0).all(axis=-1)
         sets, points = order[extended], order[~extended]
-        colours = SET_COLOURS(shares)
+        colours = SET_RAMP(shares)
         colours[:, 3] *= np.sqrt(weights)  # The root, so that 0.1 is still drawn by a third.
         self._ellipses.set_offsets(centres[sets])
         self._ellipses.set_widths(2.0 * semi_axes[sets, 0])
@@ -189,7 +188,12 @@ class Lamps:
         places = np.reshape([lamp.place for lamp in lamps], (-1, 2))
         self._discs, self._cores = (
             axes.scatter(
-                places[:, 0], places[:, 1], s=size, edgecolors=RIM, linewidths=rim, zorder=zorder
+                places[:, 0],
+                places[:, 1],
+                s=size,
+                edgecolors=LAMP_RIM,
+                linewidths=rim,
+                zorder=zorder,
             )
             for size, rim in ((_LAMP, 1.1), (0.22 * _LAMP, 0.0))
         )

@@ -14,11 +14,15 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.path import Path as Outline
 
-from dosplan.report.road_paint import (
+from dosplan.report.palette import (
+    KERB,
     LAMP_COLOURS,
-    RIM,
+    LAMP_RIM,
     SIGN_RED,
     SIGN_YELLOW,
+    WHITE,
+)
+from dosplan.report.road_paint import (
     Crosswalk,
     Lamp,
     Look,
@@ -31,18 +35,14 @@ from dosplan.report.road_paint import (
 )
 from dosplan.types import COLOURS, FloatArray, LightColour, RoadMap, SignRule
 
-KERB: Final = "#9b9b95"
-"""Colour of the edge of the road."""
-
-_PAINT: Final = "#ffffff"
 _STYLES: Final[Mapping[Look, Mapping[str, Any]]] = MappingProxyType(
     {
-        Look.BOUND: {"colors": _PAINT, "linewidths": 0.5, "alpha": 0.6},
+        Look.BOUND: {"colors": WHITE, "linewidths": 0.5, "alpha": 0.6},
         Look.KERB: {"colors": KERB, "linewidths": 0.8},
-        Look.DASHED: {"colors": _PAINT, "linewidths": 1.1, "linestyles": [(0.0, (5.0, 4.0))]},
-        Look.BROAD_DASHED: {"colors": _PAINT, "linewidths": 2.0, "linestyles": [(0.0, (3.0, 2.0))]},
-        Look.SOLID: {"colors": _PAINT, "linewidths": 1.1},
-        Look.BROAD_SOLID: {"colors": _PAINT, "linewidths": 2.0},
+        Look.DASHED: {"colors": WHITE, "linewidths": 1.1, "linestyles": [(0.0, (5.0, 4.0))]},
+        Look.BROAD_DASHED: {"colors": WHITE, "linewidths": 2.0, "linestyles": [(0.0, (3.0, 2.0))]},
+        Look.SOLID: {"colors": WHITE, "linewidths": 1.1},
+        Look.BROAD_SOLID: {"colors": WHITE, "linewidths": 2.0},
     }
 )
 _STOP: Final = 2.6  # Points; width of a stop line.
@@ -54,11 +54,11 @@ _OCTAGON.vertices = _OCTAGON.vertices @ np.array(
 )
 _SIGNS: Final[Mapping[SignRule, Mapping[str, Any]]] = MappingProxyType(
     {
-        SignRule.STOP: {"marker": _OCTAGON, "color": SIGN_RED, "markeredgecolor": "white"},
-        SignRule.GIVE_WAY: {"marker": "v", "color": "white", "markeredgecolor": SIGN_RED},
-        SignRule.PRIORITY: {"marker": "D", "color": SIGN_YELLOW, "markeredgecolor": "white"},
-        SignRule.SPEED_LIMIT: {"marker": "o", "color": "white", "markeredgecolor": SIGN_RED},
-        SignRule.SPEED_ZONE: {"marker": "o", "color": "white", "markeredgecolor": SIGN_RED},
+        SignRule.STOP: {"marker": _OCTAGON, "color": SIGN_RED, "markeredgecolor": WHITE},
+        SignRule.GIVE_WAY: {"marker": "v", "color": WHITE, "markeredgecolor": SIGN_RED},
+        SignRule.PRIORITY: {"marker": "D", "color": SIGN_YELLOW, "markeredgecolor": WHITE},
+        SignRule.SPEED_LIMIT: {"marker": "o", "color": WHITE, "markeredgecolor": SIGN_RED},
+        SignRule.SPEED_ZONE: {"marker": "o", "color": WHITE, "markeredgecolor": SIGN_RED},
     }
 )
 """Pictographs of the Vienna Convention on Road Signs and Signals (1968)."""
@@ -82,12 +82,12 @@ def draw_paint(axes: Axes, road_map: RoadMap, zorder: float) -> None:
             axes.add_collection(LineCollection(alike, zorder=zorder, label=look.value, **style))
     if stripes := [stripe for walk in crosswalks(road_map) for stripe in _stripes(walk)]:
         axes.add_collection(
-            PolyCollection(stripes, facecolors=_PAINT, alpha=0.9, zorder=zorder, label="crosswalk")
+            PolyCollection(stripes, facecolors=WHITE, alpha=0.9, zorder=zorder, label="crosswalk")
         )
     if stops := stop_lines(road_map):
         axes.add_collection(
             LineCollection(
-                stops, colors=_PAINT, linewidths=_STOP, zorder=zorder, label="stop line",
+                stops, colors=WHITE, linewidths=_STOP, zorder=zorder, label="stop line",
                 capstyle="butt",
             )
         )  # fmt: skip
@@ -132,7 +132,7 @@ def _lamp_key() -> LampKey:
     return LampKey(
         Line2D(
             [], [], linestyle="none", marker="o", markersize=5.5, markeredgewidth=0.9,
-            markeredgecolor=RIM, color=LAMP_COLOURS[COLOURS.index(colour)][0],
+            markeredgecolor=LAMP_RIM, color=LAMP_COLOURS[COLOURS.index(colour)][0],
         )
         for colour in shown
     )  # fmt: skip
@@ -155,7 +155,7 @@ def _draw_plate(axes: Axes, plate: Plate, zorder: float) -> None:
     style = _SIGNS[plate.rule]
     axes.plot(
         *plate.place[:, None], linestyle="none", markersize=_SIZES.get(plate.rule, _SIZE),
-        markeredgewidth=1.0 if style["markeredgecolor"] == "white" else 1.6, zorder=zorder,
+        markeredgewidth=1.0 if style["markeredgecolor"] == WHITE else 1.6, zorder=zorder,
         label=plate.rule.value, **style,
     )  # fmt: skip
     if plate.text:
@@ -166,7 +166,7 @@ def _draw_plate(axes: Axes, plate: Plate, zorder: float) -> None:
             va="center_baseline",
             size=_NUMBER - (len(plate.text) > 2),
             weight="bold",
-            color=RIM,
+            color=LAMP_RIM,
             zorder=zorder,
             annotation_clip=True,
             clip_on=True,

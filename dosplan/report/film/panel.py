@@ -2,40 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 from matplotlib.artist import Artist
-from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.path import Path as Outline
 from matplotlib.text import Annotation
 
 from dosplan.report.film.drives import Take
 from dosplan.report.film.framing import Framing
-from dosplan.report.film.layers import INK, Bodies, Lamps, Sets, Users, on_scene
-from dosplan.report.film.scene import KIND_COLOURS, draw_map, draw_task
+from dosplan.report.film.layers import Bodies, Lamps, Sets, Users, on_scene
+from dosplan.report.film.scene import draw_map, draw_task
+from dosplan.report.palette import INK, KIND_COLOURS, OUTCOME_COLOURS, RULE, WHITE
 from dosplan.report.road_paint import Lamp, Plate, lamps, plates
 from dosplan.types import FloatArray, Outcome, RoadUserKind
 
-_GREY: Final = "#b4bac2"
-_OWN: Final = 0.4  # Road users are toned down, so that the ego stands out.
-
-
-def _toned(colour: str) -> str:
-    parts = zip(to_rgb(colour), to_rgb(_GREY), strict=True)
-    red, green, blue = (_OWN * own + (1.0 - _OWN) * grey for own, grey in parts)
-    return to_hex((red, green, blue))
-
-
-USER_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
-    {kind: _toned(colour) for kind, colour in KIND_COLOURS.items()}
-)
-"""Fill colour of each kind of road user."""
-
-_GOOD, _BAD = "#2e7d32", "#c4161c"
 _GAP: Final = 0.45
 _CROSS: Final = Outline(  # Open in the middle, so that the contact is seen.
     [(x * r, y * r) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for r in (1.0, _GAP)],
@@ -75,7 +57,7 @@ class Panel:
         self.axes.set_xticks([])
         self.axes.set_yticks([])
         for spine in self.axes.spines.values():
-            spine.set(color="#c9ced4", linewidth=0.8)
+            spine.set(color=RULE, linewidth=0.8)
         draw_map(self.axes, take.scenario)
         if take.has_task:
             draw_task(self.axes, take.scenario)
@@ -114,7 +96,9 @@ class Panel:
         pose, velocity = take.ego[index, :3], take.ego[index, 3]
         decided = take.row is not None and now >= take.moment
         struck = take.row.collision_with if take.row is not None and decided else None
-        self._users.show_step(now, {} if struck is None else {struck: _BAD})
+        self._users.show_step(
+            now, {} if struck is None else {struck: OUTCOME_COLOURS[Outcome.COLLISION]}
+        )
         if take.has_task:
             self._ego.show(pose[None], np.array([take.scenario.task.vehicle.size]), [take.colour])
             self._driven.set_data(*take.ego[: index + 1, :2].T)
@@ -196,7 +180,7 @@ class Panel:
     def _make_layers(self) -> None:
         axes, take = self.axes, self.take
         self._sets = Sets(axes, zorder=4)
-        self._users = Users(axes, take.tracks, USER_COLOURS, zorder=6)
+        self._users = Users(axes, take.tracks, KIND_COLOURS, zorder=6)
         (self._driven,) = axes.plot([], [], color=take.colour, linewidth=2.2, zorder=5)
         (self._plan,) = axes.plot(
             [],
@@ -211,8 +195,8 @@ class Panel:
         self._ego = Bodies(axes, zorder=8, line=1.0)
         # Above the bodies: whoever drives over a stop line does not hide its light.
         self._lamps = Lamps(axes, lamps(take.scenario.road_map, take.signals), zorder=8)
-        good = take.row is not None and take.row.outcome is Outcome.SUCCESS
-        colour = _GOOD if good else _BAD
+        outcome = Outcome.SUCCESS if take.row is None else take.row.outcome
+        good, colour = outcome is Outcome.SUCCESS, OUTCOME_COLOURS[outcome]
         shape, extent = ("o", 26.0) if good else (_CROSS, 30.0)  # Points.
         self._marks = [
             axes.plot(
@@ -225,7 +209,7 @@ class Panel:
                 markeredgewidth=line,
                 zorder=9,
             )[0]
-            for edge, line in (("white", 5.5), (colour, 3.0))
+            for edge, line in ((WHITE, 5.5), (colour, 3.0))
         ]
         self._clock = self._heading(1.0, "", color=INK, ha="right")
         self._verdict = axes.text(
@@ -237,8 +221,8 @@ class Panel:
             va="top",
             size=_TEXT,
             weight="bold",
-            color="white",
-            bbox={"boxstyle": "round,pad=0.35", "facecolor": colour, "edgecolor": "white"},
+            color=WHITE,
+            bbox={"boxstyle": "round,pad=0.35", "facecolor": colour, "edgecolor": WHITE},
             zorder=10,
         )
         self.moving: list[Artist] = [

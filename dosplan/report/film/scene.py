@@ -15,35 +15,22 @@ from matplotlib.path import Path as Outline
 from shapely.geometry import MultiPolygon, Polygon
 
 from dosplan.geometry import lanelets_off_road
-from dosplan.report.film.layers import INK, Bodies, Lamps, Users, on_scene
-from dosplan.report.film.paint import KERB, draw_paint, paint_keys
-from dosplan.report.road_paint import lamps, plates
-from dosplan.types import Arm, FloatArray, GoalState, RoadUserKind, Scenario
-
-KIND_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(
-    {
-        RoadUserKind.CAR: "#0072b2",
-        RoadUserKind.TRUCK: "#e69f00",
-        RoadUserKind.BUS: "#8c510a",
-        RoadUserKind.TRAIN: "#4d004b",
-        RoadUserKind.MOTORCYCLE: "#cc79a7",
-        RoadUserKind.BICYCLE: "#6a3d9a",
-        RoadUserKind.PEDESTRIAN: "#f0c800",
-        RoadUserKind.PARKED: "#8a8a8a",
-        RoadUserKind.STATIC: "#4d4d4d",
-        RoadUserKind.UNKNOWN: "#bdbdbd",
-    }
+from dosplan.report.film.layers import Bodies, Lamps, Users, on_scene
+from dosplan.report.film.paint import draw_paint, paint_keys
+from dosplan.report.palette import (
+    EGO_COLOUR,
+    GOAL_COLOUR,
+    INK,
+    KERB,
+    KIND_COLOURS,
+    OFF_ROAD,
+    ROAD,
 )
-"""Fill colour of each kind of road user; most are from Okabe and Ito's palette."""
+from dosplan.report.road_paint import lamps, plates
+from dosplan.types import FloatArray, GoalState, Scenario
 
-EGO_COLOUR: Final = "#d7191c"
-ARM_COLOURS: Final = MappingProxyType({Arm.WITHOUT_DOS: "#d55e00", Arm.WITH_DOS: "#0072b2"})
-"""Colour of each arm, and of the ego in it; pages have the same."""
-
-GOAL_COLOUR: Final = "#1a9641"
-_ROAD: Final = "#dfe1e0"
 _OFF_ROAD: Final[Mapping[str, Any]] = MappingProxyType(
-    {"facecolor": "#f3f4f2", "edgecolor": "#c4c6c1", "hatch": "////", "linewidth": 0.5}
+    {"facecolor": OFF_ROAD[0], "edgecolor": OFF_ROAD[1], "hatch": "////", "linewidth": 0.5}
 )
 """How lanelets are drawn that are no road for a car."""
 _MARGIN = 30.0
@@ -133,7 +120,7 @@ def draw_map(axes: Axes, scenario: Scenario) -> None:
     if not off_road.is_empty:
         axes.add_patch(PathPatch(_patch(off_road), **_OFF_ROAD, zorder=1))
     road = _patch(road_map.drivable)
-    axes.add_patch(PathPatch(road, facecolor=_ROAD, edgecolor="none", zorder=1))
+    axes.add_patch(PathPatch(road, facecolor=ROAD, edgecolor="none", zorder=1))
     axes.add_patch(PathPatch(road, facecolor="none", edgecolor=KERB, linewidth=0.8, zorder=2))
     draw_paint(axes, road_map, zorder=2)
 

@@ -23,14 +23,20 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from dosplan import __version__
-from dosplan.report.film.scene import GOAL_COLOUR, KIND_COLOURS
 from dosplan.report.html import findings
 from dosplan.report.html.cases import FASTER, MOST_EXAMINED, OUTCOME_WORDS, Case, examine
 from dosplan.report.html.figures import coverage_plot, histogram
 from dosplan.report.html.player import KINDS
 from dosplan.report.html.sides import Pairing
 from dosplan.report.html.thumbnails import HEIGHT, WIDTH
-from dosplan.report.road_paint import LAMP_COLOURS, RIM, SIGN_RED, SIGN_YELLOW
+from dosplan.report.palette import (
+    GOAL_COLOUR,
+    KIND_COLOURS,
+    LAMP_COLOURS,
+    LAMP_RIM,
+    SIGN_RED,
+    SIGN_YELLOW,
+)
 from dosplan.results.unusable import unusable_title
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Metric
@@ -184,7 +190,7 @@ def _data(examined: Sequence[tuple[Pairing, Sequence[Case]]], room: int) -> str:
         "kinds": [[kind.value, KIND_COLOURS[kind]] for kind in KINDS],
         "goal": GOAL_COLOUR,
         "lamps": LAMP_COLOURS,
-        "signs": {"rim": RIM, "red": SIGN_RED, "yellow": SIGN_YELLOW},
+        "signs": {"rim": LAMP_RIM, "red": SIGN_RED, "yellow": SIGN_YELLOW},
         "outcomes": {outcome.value: word for outcome, word in OUTCOME_WORDS.items()},
         "thumbnail": [WIDTH, HEIGHT],
         "faster": FASTER,

@@ -333,12 +333,6 @@ function drawSpeeds(context, size, episode, step, palette, span) {
   context.stroke();
 }
 
-// Road users are toned down, so that the egos stand out whatever their kind's colour is.
-function toned(colour, grey) {
-  const [own, other] = [colour, grey].map((text) => [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16)));
-  return `rgb(${own.map((value, i) => Math.round(0.4 * value + 0.6 * other[i])).join(" ")})`;
-}
-
 function ramp(palette, share) {
   const [low, high, part] = share < 0.5
     ? [palette.near, palette.middle, 2 * share] : [palette.middle, palette.far, 2 * share - 1];

@@ -149,7 +149,7 @@ function makePlayer(dialog, data) {
     return {
       land: get("land"), road: get("road"), offRoad: get("off-road"), marking: get("marking"), paint: get("paint"), kerb: get("kerb"), ink: get("ink"), line: get("line"),
       faint: get("faint"), paper: get("paper"), goal: data.goal, lamps: data.lamps, signs: data.signs,
-      sides: [get("side-0"), get("side-1")], kinds: data.kinds.map(([, colour]) => toned(colour, get("user"))),
+      sides: [get("side-0"), get("side-1")], kinds: data.kinds.map(([, colour]) => colour),
       near: rgb("near"), middle: rgb("middle"), far: rgb("far"),
       outcomes: Object.fromEntries(Object.keys(data.outcomes).map((name) => [name, get(name)])),
     };

@@ -28,7 +28,7 @@ ARM_COLOURS: Final[Mapping[Arm, str]] = MappingProxyType(
     {Arm.WITHOUT_DOS: "#d55e00", Arm.WITH_DOS: "#0072b2"}
 )
 """Each arm, and the ego in it."""
-EGO_COLOUR: Final = "#000000"
+EGO_COLOUR: Final = "#00b4c8"
 """The ego where nobody drove it, in either arm."""
 
 KIND_COLOURS: Final[Mapping[RoadUserKind, str]] = MappingProxyType(

@@ -16,10 +16,10 @@ from dosplan.results.markdown import ARMS_SIDE_BY_SIDE
 from dosplan.types import Arm, FloatArray, Outcome, RoadUserKind
 
 REPORT = Path(dosplan.report.__file__).parent
-MEANINGS = {
-    **palette.ARM_COLOURS,
-    **palette.KIND_COLOURS,
-    **palette.OUTCOME_COLOURS,
+MEANINGS: dict[str, str] = {
+    **{str(arm): colour for arm, colour in palette.ARM_COLOURS.items()},
+    **{str(kind): colour for kind, colour in palette.KIND_COLOURS.items()},
+    **{str(outcome): colour for outcome, colour in palette.OUTCOME_COLOURS.items()},
     "soon": palette.SET_COLOURS[0],
     "half": palette.SET_COLOURS[1],
     "far": palette.SET_COLOURS[2],
@@ -52,7 +52,7 @@ def test_what_is_seen_at_once_differs_to_the_eye() -> None:
     }
     # Vehicles of one family are told apart by their size as well.
     assert {pair: d for pair, d in apart.items() if d < 8.0} == {}
-    arms = {pair: d for pair, d in apart.items() if any(isinstance(x, Arm) for x in pair)}
+    arms = {pair: d for pair, d in apart.items() if {*pair} & set(Arm)}
     assert {pair: d for pair, d in arms.items() if d < 30.0} == {}
 
 

@@ -223,7 +223,7 @@ def _row(
     handles, titles = axes.get_legend_handles_labels()
     figure.legend(
         [*handles, *more],
-        [*titles, *(x.get_label() for x in more)],
+        [*titles, *(str(key.get_label()) for key in more)],
         loc="outside lower center",
         ncols=2,
     )

@@ -57,7 +57,7 @@ TIMES = {"predict": 5.0, "solver": 8.0, "plan_rest": 2.0, "cycle": 15.0, "cycle_
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The published results; calibration and timings, which take a measurement, are made up."""
     folder = tmp_path_factory.mktemp("results")
-    for part in ("prediction", "suite-1", "recorded"):
+    for part in ("prediction", *planning.RUNS):
         shutil.copytree(SHIPPED / part, folder / part)
     labels = {f"at {level:g}": {"coverage": level} for level in LEVELS}
     labels["at all steps"] = {"coverage": 0.9, "simultaneous": True}
@@ -214,7 +214,9 @@ def test_calibration_is_drawn_over_the_level_that_was_asked_for(
 
 
 def test_planning_shows_the_shares_of_the_summaries(published: Published) -> None:
-    panels = np.reshape(np.array(planning.draw(published).axes, dtype=object), (2, 3))
+    panels = np.reshape(
+        np.array(planning.draw(published).axes, dtype=object), (len(planning.RUNS), 3)
+    )
     keys = (
         ("success_rate", "safe_rate"),
         (
@@ -319,7 +321,8 @@ def _font_sizes(figure: Figure) -> list[float]:
 def test_what_is_missing_costs_one_figure_and_is_one_line(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copytree(results / "suite-1", tmp_path / "suite-1")
+    for run in ("suite", "suite-1"):
+        shutil.copytree(results / run, tmp_path / run)
     names = ["planning", "calibration", "cycle-time"]
     options = ["--results", str(tmp_path), "--out", str(tmp_path / "out")]
     assert main(["figures", *names, *options]) == FAILED
@@ -396,7 +399,8 @@ def test_a_method_that_was_not_evaluated_is_named(results: Path, tmp_path: Path)
 
 
 def test_an_arm_in_which_nobody_drove_is_told(results: Path, tmp_path: Path) -> None:
-    shutil.copytree(results / "suite-1", tmp_path / "suite-1")
+    for run in ("suite", "suite-1"):
+        shutil.copytree(results / run, tmp_path / run)
     path = tmp_path / "suite-1" / "scenarios.jsonl"
     rows = [
         row

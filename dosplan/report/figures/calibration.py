@@ -6,6 +6,7 @@ nominal coverage as well; it is drawn beside the calibrated sets.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -22,6 +23,11 @@ from dosplan.types import FloatArray
 
 _CALIBRATED: Final = {"marker": "o", "linestyle": "-"}
 _GAUSSIAN: Final = {"marker": "x", "linestyle": ":"}
+
+
+def sources(published: Published) -> list[Path]:
+    """The files that the figure shows."""
+    return [published.evaluation_file(part) for part in ("calibration", "prediction")]
 
 
 def draw(published: Published) -> Figure:

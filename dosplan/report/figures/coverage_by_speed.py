@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -21,6 +22,11 @@ METHODS: Final = {
 }
 _APART: Final = 0.17  # Between the methods of a bin.
 _LEVEL: Final = 90.0
+
+
+def sources(published: Published) -> list[Path]:
+    """The files that the figure shows."""
+    return [published.evaluation_file("prediction")]
 
 
 def draw(published: Published) -> Figure:

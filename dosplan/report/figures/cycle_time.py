@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -27,6 +28,11 @@ PARTS: Final = {
     "predict": ("prediction", SERIES[1], "^", "-"),
     "plan_rest": ("rest of the plan", SERIES[2], "D", "-"),
 }
+
+
+def sources(published: Published) -> list[Path]:
+    """The files that the figure shows."""
+    return [published.growth_file]
 
 
 def draw(published: Published) -> Figure:

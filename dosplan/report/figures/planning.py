@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -18,11 +19,17 @@ from dosplan.scoring.metrics import find_metric
 from dosplan.system.files import FileError
 from dosplan.types import Arm, Score
 
-RUNS: Final = {"suite-1": "first suite", "recorded": "recorded scenarios"}
+RUNS: Final = {"suite": "suite", "suite-1": "first suite", "recorded": "recorded traffic"}
 GOOD: Final = ("success", "safe")
 BAD: Final = ("collision", "at_fault_collision", "out_of_bounds", "goal_missed")
 """Names of the shares that are drawn."""
+_BARS: Final = "Bars: 95 % interval of each arm by itself, not of the paired difference."
 _APART: Final = 0.24  # Between the arms.
+
+
+def sources(published: Published) -> list[Path]:
+    """The files that the figure shows."""
+    return [published.rows_file(run) for run in RUNS]
 
 
 def draw(published: Published) -> Figure:
@@ -37,7 +44,7 @@ def draw(published: Published) -> Figure:
     Raises:
         FileError: A run is missing, or does not hold both arms, or nothing was driven in one.
     """
-    figure = style.new_figure(style.PAGE, 3.6)
+    figure = style.new_figure(style.PAGE, 5.0)
     panels = figure.subplots(len(RUNS), 3, sharex="col", width_ratios=(2, 3, 1.4), squeeze=False)
     for (good, bad, speed), (run, title) in zip(panels, RUNS.items(), strict=True):
         rows = published.rows(run)
@@ -51,14 +58,22 @@ def draw(published: Published) -> Figure:
         _shares(good, arms, GOOD)
         _shares(bad, arms, BAD)
         _intervals(speed, velocities, [""])
-        good.set_title(f"{title}, n = {len(arms[Arm.WITH_DOS])}", loc="left", fontweight="bold")
+        good.set_title(f"{title}: {_count(arms[Arm.WITH_DOS])}", loc="left", fontweight="bold")
     for axes, label in zip(panels[-1], ("share, %", "share, %", "velocity, m/s"), strict=True):
         axes.set_xlabel(label)
     panels[0, 0].set_xlim(right=100.6)
     panels[0, 1].set_xlim(left=-0.4)
     handles, titles = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, titles, loc="outside lower center", ncols=2)
+    legend = figure.legend(handles, titles, loc="outside lower center", ncols=2, title=_BARS)
+    legend.get_title().set_fontsize(7)
     return figure
+
+
+def _count(rows: Sequence[Score]) -> str:
+    """How many scenarios, and how many drives where each has several futures."""
+    scenarios = len({row.scenario for row in rows})
+    futures = "" if scenarios == len(rows) else f", {len(rows)} futures"
+    return f"{scenarios} scenarios{futures}"
 
 
 def _shares(axes: Axes, arms: dict[Arm, list[Score]], names: Sequence[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +20,7 @@ from dosplan.report.figures.sources import Published
 from dosplan.report.film.layers import SET_RAMP, Sets, Users, on_scene
 from dosplan.report.film.scene import draw_map
 from dosplan.report.palette import INK, KIND_COLOURS
-from dosplan.scenario import find_scenarios, load_scenario
+from dosplan.scenario import ScenarioRef, find_scenarios, load_scenario
 from dosplan.simulation.world import World
 from dosplan.types import STEP_SECONDS, Occupancy, RoadUserKind, Scenario
 
@@ -46,6 +47,14 @@ _FUTURE: Final[dict[str, Any]] = {
 }  # fmt: skip
 
 
+def sources(published: Published) -> list[Path]:
+    """The files that the figure shows: the scene, and the weights of every method."""
+    del published
+    predictors = [create_predictor("dos", 0, options) for options in METHODS.values()]
+    weights = [path for predictor in predictors for path in predictor.weight_files()]
+    return [_scene().path, *dict.fromkeys(weights)]
+
+
 def draw(published: Published) -> Figure:
     """Draws the figure with the weights that are installed.
 
@@ -60,7 +69,7 @@ def draw(published: Published) -> Figure:
         RegistryError: The predictor cannot be built.
     """
     del published
-    scenario = load_scenario(next(ref for ref in find_scenarios("suite-1") if ref.id == SCENE))
+    scenario = load_scenario(_scene())
     rows = -(-len(METHODS) // _COLUMNS)
     figure = style.new_figure(style.PAGE, 1.55 * rows + 0.35)
     panels = figure.subplots(rows, _COLUMNS)
@@ -92,6 +101,10 @@ def predicted_sets(scenario: Scenario, options: dict[str, Any]) -> Occupancy:
     predictor = create_predictor("dos", 0, options)
     predictor.reset(scenario.task, scenario.road_map)
     return predictor.predict(World(scenario, first_step=_step(scenario)).observation())
+
+
+def _scene() -> ScenarioRef:
+    return next(ref for ref in find_scenarios("suite-1") if ref.id == SCENE)
 
 
 def _step(scenario: Scenario) -> int:

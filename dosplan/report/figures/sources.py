@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from dosplan.results.folder import RunFolder
 from dosplan.results.rows import read_run
 from dosplan.system.files import FileError, read_json
 from dosplan.types import FloatArray, Score
@@ -80,6 +81,19 @@ class Published:
 
     path: Path
 
+    def evaluation_file(self, part: str) -> Path:
+        """The file of an evaluation, which need not exist."""
+        return self.path / part / "bench.json"
+
+    def rows_file(self, part: str) -> Path:
+        """The rows of a run, which need not exist."""
+        return RunFolder(self.path / part).rows
+
+    @property
+    def growth_file(self) -> Path:
+        """The times of the planning cycle, which need not exist."""
+        return self.path / "cycle" / "bench.json"
+
     def evaluation(self, part: str) -> Evaluation:
         """Reads an evaluation.
 
@@ -92,7 +106,7 @@ class Published:
         Raises:
             FileError: It is missing, or is none.
         """
-        path = self.path / part / "bench.json"
+        path = self.evaluation_file(part)
         content = _read(path, f"dosplan evaluate ... --json {path}")
         try:
             sets = {
@@ -147,7 +161,7 @@ class Published:
         Raises:
             FileError: The file is missing, or is not what the timing script writes.
         """
-        path = self.path / "cycle" / "bench.json"
+        path = self.growth_file
         content = _read(path, f"make bench BENCH_ARGS='--json {path}'")
         try:
             found = {

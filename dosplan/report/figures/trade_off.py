@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -93,6 +94,11 @@ _SHAPES: Final = tuple(
 )
 
 
+def sources(published: Published) -> list[Path]:
+    """The files that the figure shows."""
+    return [published.evaluation_file("prediction")]
+
+
 def draw(published: Published) -> Figure:
     """Draws the figure.
 
@@ -118,7 +124,9 @@ def draw(published: Published) -> Figure:
     for h, axes in enumerate(panels):
         sets = [evaluation.of(label) for label in pr.labels]
         points = [(one.area[h], one.coverage[h]) for one in sets]
+        view = axes.get_xlim()
         axes.plot(*np.transpose(points), zorder=1, **_BESIDE)
+        axes.set_xlim(view)
     return figure
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 from matplotlib.figure import Figure
@@ -22,6 +23,11 @@ SHAPES: Final = {
     "v2": ("ellipse, v2", SERIES[5], "v", ":"),
     "free": (r"ellipse, $\theta$ free", SERIES[0], "P", "-"),
 }
+
+
+def sources(published: Published) -> list[Path]:
+    """The files that the figure shows."""
+    return [published.evaluation_file("prediction")]
 
 
 def draw(published: Published) -> Figure:

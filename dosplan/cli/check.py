@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from dosplan.cli.arguments import PLUGIN_HELP, add_json, show
 from dosplan.cli.command import FAILED, OK, CommandError
+from dosplan.system.errors import did_you_mean
 
 if TYPE_CHECKING:
     from dosplan.plugins.conformance import Report
@@ -77,23 +78,33 @@ class CheckCommand:
 def _report(options: argparse.Namespace) -> Report:
     """The checks of a planner, predictor or traffic, whichever has the name."""
     from dosplan.plugins.isolated import check_isolated
-    from dosplan.plugins.registry import PluginKind, RegistryError, list_plugins
+    from dosplan.plugins.registry import (
+        OtherKindError,
+        PluginKind,
+        RegistryError,
+        list_plugins,
+    )
 
     spec, scenario = options.name, options.scenario
     word = options.kind or ("traffic" if scenario is not None else None)
     if scenario is not None and word != "traffic":
         raise CommandError(f"--scenario is for traffic, not for a {word}")
     kinds = [kind for kind in PluginKind if word in (None, kind.word)]
-    named = [k for k in kinds if spec in {plugin.name for plugin in list_plugins(k)}]
+    installed = {kind: {plugin.name for plugin in list_plugins(kind)} for kind in kinds}
+    named = [kind for kind in kinds if spec in installed[kind]]
     if len(named) > 1:
         words = " and ".join(f"a {kind.word}" for kind in named)
         raise CommandError(f"{spec} is {words}; say which one is meant, with --kind")
+    if not named and ":" not in spec and not spec.endswith(".py"):
+        hint = did_you_mean(spec, set().union(*installed.values()))
+        raise RegistryError(
+            f"no {' or '.join(kind.word for kind in kinds)} is called {spec!r}{hint}; "
+            "`dosplan list` shows them all, FILE.py:CLASS is one of your own"
+        )
     complaints = []
     for kind in named or kinds:
         try:
             return check_isolated(kind, spec, options.timeout, scenario)
-        except RegistryError as error:
-            if error.__cause__ is not None:  # What cannot be imported is no other kind, either.
-                raise
+        except OtherKindError as error:
             complaints.append(str(error))
-    raise RegistryError("; ".join(complaints))
+    raise RegistryError("; ".join(dict.fromkeys(complaints)))

@@ -30,6 +30,7 @@ from dosplan.scenario.synthetic import (
     crowded_scenario,
     forking_sets,
     growing_sets,
+    off_path_scenario,
     straight_scenario,
 )
 from dosplan.system.errors import failure_place, one_line
@@ -220,7 +221,7 @@ def planner_contract(plugin: type[Planner] | PluginSpec[Planner]) -> Contract:
                 lambda: drive(busy_scenario(), sets=forking_sets),
                 "a set may be a union of ellipses; Occupancy.by_component() lists them one by one",
             ),
-            Rule("vehicle_model", lambda: _follows_model(drive(busy_scenario()))),
+            Rule("vehicle_model", lambda: _follows_model(drive)),
             Rule("actuator_limits", lambda: _within_limits(drive(busy_scenario()))),
         ),
     )
@@ -402,7 +403,14 @@ def _covers_unions(trace: Trace) -> None:
             )
 
 
-def _follows_model(trace: Trace) -> None:
+def _follows_model(drive: _Drive) -> None:
+    _keeps_to_model(drive(busy_scenario()))
+    # On the path, and at its speed, points of the path look like a drive of the vehicle.
+    with suppress(NoPlanError):
+        _keeps_to_model(drive(off_path_scenario()))
+
+
+def _keeps_to_model(trace: Trace) -> None:
     task = busy_scenario().task
     vehicle, dt = task.vehicle, task.dt
     for plan in trace.results:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Any, Final
 
 from dosplan.api import DeadlineSettings, Planner, PluginSpec, Predictor, PredictorSettings
@@ -30,6 +30,10 @@ _PLANNERS_SHARE: Final = 0.8  # Of the loop's period; the rest is the predictor'
 
 class RegistryError(DosplanError, ValueError):
     """A plug-in that cannot be found, loaded or built; the message is one line."""
+
+
+class OtherKindError(RegistryError):
+    """What is named is no plug-in of the kind that is looked for; it may be one of another."""
 
 
 class PluginKind(Enum):
@@ -238,9 +242,12 @@ def create_traffic(
 
 def find_plugin(kind: PluginKind, spec: str) -> Any:
     """Imports a plug-in; as ``find_planner``, of any kind."""
-    target = spec if ":" in spec else _installed(spec, kind)
+    in_a_place = ":" in spec or spec.endswith(".py")
+    target = spec if in_a_place else _installed(spec, kind)
     location, _, attribute = target.rpartition(":")
-    if not location or not attribute:
+    if target.endswith(".py"):
+        location, attribute = target, ""
+    elif not location or not attribute:
         raise RegistryError(
             f"{kind.word} {spec!r}: expected a name, module:Class or path/to/file.py:Class"
         )
@@ -256,9 +263,7 @@ def find_plugin(kind: PluginKind, spec: str) -> Any:
             f"{kind.word} {spec!r} cannot be imported: {one_line(error)}"
         ) from error
     if found is None:
-        names = [name for name, value in vars(module).items() if _is_plugin(value, kind)]
-        hint = did_you_mean(attribute, names)
-        raise RegistryError(f"{kind.word} {spec!r}: {location} has no {attribute}{hint}")
+        raise _missing(module, location, attribute, kind)
     _check_class(found, spec, kind)
     return found
 
@@ -418,7 +423,7 @@ def _installed(name: str, kind: PluginKind) -> str:
         names = [offer.name for offer in list_plugins(kind)]
         raise RegistryError(
             f"no {kind.word} is called {name!r}{did_you_mean(name, names)}; "
-            f"`dosplan list {kind.plural}` shows them all"
+            f"`dosplan list {kind.plural}` shows them all, FILE.py:CLASS is one of your own"
         )
     if len(offers) > 1:
         givers = ", ".join(f"{offer.target} from {offer.distribution}" for offer in offers)
@@ -429,6 +434,21 @@ def _installed(name: str, kind: PluginKind) -> str:
     return offers[0].target
 
 
+def _missing(module: ModuleType, location: str, attribute: str, kind: PluginKind) -> RegistryError:
+    """A class that a module does not have, or that was not named."""
+    names = [
+        name
+        for name, value in vars(module).items()
+        if _is_plugin(value, kind) and not inspect.isabstract(value)
+    ]
+    if not attribute:
+        message = f"{location}: name the class, too, as {location}:{(*names, 'Class')[0]}"
+    else:
+        hint = did_you_mean(attribute, names) or (names and f"; it has {', '.join(names)}") or ""
+        message = f"{location} has no {attribute}{hint}"
+    return RegistryError(message) if names else OtherKindError(message)
+
+
 def _is_plugin(value: object, kind: PluginKind) -> bool:
     return inspect.isclass(value) and issubclass(value, kind.base) and value is not kind.base
 
@@ -436,7 +456,7 @@ def _is_plugin(value: object, kind: PluginKind) -> bool:
 def _check_class(found: object, spec: str, kind: PluginKind) -> None:
     if not _is_plugin(found, kind):
         base = f"{kind.base.__module__}.{kind.base.__name__}"
-        raise RegistryError(f"{kind.word} {spec!r} is not a subclass of {base}")
+        raise OtherKindError(f"{kind.word} {spec!r} is not a subclass of {base}")
     missing = sorted(getattr(found, "__abstractmethods__", ()))
     if missing:
         raise RegistryError(f"{kind.word} {spec!r} does not implement {', '.join(missing)}")

@@ -7,6 +7,7 @@ The ego's lane is centred on the x axis, the other lane lies to its left; both r
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from shapely.geometry import box
@@ -187,6 +188,18 @@ def busy_scenario(velocity: float = 10.0) -> Scenario:
     )
     tracks = steady_tracks(first, kinds=kinds)
     return straight_scenario(tracks, velocity=velocity, start_step=40, final_step=90)
+
+
+def off_path_scenario() -> Scenario:
+    """The busy scene; the ego starts beside the route's path, turned, and with its wheels turned.
+
+    Returns:
+        A scenario that starts 4 s into its recording.
+    """
+    scenario = busy_scenario()
+    x, y, steering, velocity, heading = scenario.task.start
+    start = np.array([x, y + 0.3, steering - 0.02, velocity, heading + 0.04])
+    return replace(scenario, task=replace(scenario.task, start=start))
 
 
 def crowded_scenario() -> Scenario:

@@ -29,6 +29,8 @@ EGO_HEADING: Final = 4
 """Column of an ego state: heading, rad."""
 EGO_SIZE: Final = 5
 """Number of columns of an ego state."""
+EGO_COLUMNS: Final = "x and y of the rear axle, steering angle, velocity, heading"
+"""The same in words, for messages."""
 
 USER_X: Final = 0
 """Column of a road user's state: x of its centre, m."""
@@ -47,7 +49,12 @@ class ShapeError(DosplanError, ValueError):
 
 
 def frozen(
-    owner: object, field: str, dtype: Any, shape: Sequence[int | None], finite: bool = False
+    owner: object,
+    field: str,
+    dtype: Any,
+    shape: Sequence[int | None],
+    finite: bool = False,
+    columns: str = "",
 ) -> None:
     """Replaces ``owner.field`` by a read-only copy after checking its shape.
 
@@ -60,6 +67,7 @@ def frozen(
         dtype: The numpy dtype that is wanted.
         shape: Expected shape; ``None`` stands for any length.
         finite: Whether NaN and infinity are refused.
+        columns: What the columns are, to be told where their number is wrong.
 
     Raises:
         ShapeError: The array has another shape or holds a value that is not finite.
@@ -78,7 +86,8 @@ def frozen(
         want is not None and have != want for have, want in zip(array.shape, shape, strict=True)
     ):
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
-        raise ShapeError(f"{where} has shape {array.shape}, expected {wanted}{suffix}")
+        told = f"; columns: {columns}" if columns and array.shape[-1:] != (shape[-1],) else ""
+        raise ShapeError(f"{where} has shape {array.shape}, expected {wanted}{told}{suffix}")
     if finite and not np.all(np.isfinite(array)):
         raise ShapeError(f"{where} holds a NaN or an infinite value{suffix}")
     array.setflags(write=False)

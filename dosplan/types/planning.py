@@ -11,6 +11,7 @@ from typing import Final, Self
 import numpy as np
 
 from dosplan.types.arrays import (
+    EGO_COLUMNS,
     EGO_SIZE,
     USER_HEADING,
     USER_SIZE,
@@ -526,7 +527,8 @@ class Plan:
 
     def __post_init__(self) -> None:
         frozen(self, "inputs", np.float64, (None, 2), finite=True)
-        frozen(self, "states", np.float64, (len(self.inputs) + 1, EGO_SIZE), finite=True)
+        shape = (len(self.inputs) + 1, EGO_SIZE)
+        frozen(self, "states", np.float64, shape, finite=True, columns=EGO_COLUMNS)
         if len(self.inputs) == 0:
             raise ShapeError("Plan.inputs is empty: a plan needs one step at least")
         if not isinstance(self.report, SolveReport):

@@ -259,7 +259,7 @@ def test_a_full_disk_behind_stdout_is_one_line() -> None:
         (["run", "{scenes}", "--predictor", f"{PLUGINS}:SeerPredictor"], "--unranked allows it"),
         (["run", "{scenes}", *COAST, "--out", "{scenes}"], "is not empty and holds no run"),
         (["list", "scenarios", "no/such/folder"], "no/such/folder"),
-        (["check", "no-such-plugin"], "no planner is called"),
+        (["check", "no-such-plugin"], "no planner or predictor or traffic is called 'no-such-pl"),
         (["check", "dosplan.types:Plan"], "is not a subclass of dosplan.api.Planner"),
         (["compare", "no/such/run"], "no/such/run is not a run folder"),
         (["compare", "{scenes}"], "is not a run folder"),

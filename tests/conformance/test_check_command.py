@@ -146,3 +146,28 @@ def test_a_time_out_that_is_none_is_refused(limit: str, capsys: pytest.CaptureFi
 
 def test_the_limit_does_not_trouble_the_good() -> None:
     assert main(["check", "constant-velocity", "--timeout", "60"]) == OK
+
+
+@pytest.mark.parametrize(
+    ("named", "message"),
+    [
+        ("", "mine.py: name the class, too, as {}:Mine"),
+        (":Min", "mine.py has no Min; did you mean 'Mine'?"),
+        (":M", "mine.py has no M; it has Mine"),
+        (":Tuning", "is not a subclass of dosplan.api.Planner; predictor "),
+    ],
+)
+def test_a_class_that_is_not_there_is_told_once_and_who_is(
+    named: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plugin = tmp_path / "mine.py"
+    plugin.write_text(
+        "from dosplan.api import Predictor\n"
+        "class Tuning: pass\n"
+        "class Mine(Predictor):\n"
+        "    name = 'mine-v1'\n"
+        "    def compute_occupancy(self, observation): ...\n"
+    )
+    assert main(["check", f"{plugin}{named}"]) == BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.count(message.format(plugin)) == 1

@@ -151,6 +151,15 @@ class Teleporter(GoodPlanner):
         return Plan(states=np.tile(observation.ego, (11, 1)), inputs=np.zeros((10, 2)))
 
 
+class PathPoints(GoodPlanner):
+    """Where the ego is on the path, and steers straight on, it returns what the vehicle does."""
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        states = np.tile(observation.ego * [1.0, 0.0, 0.0, 1.0, 0.0], (11, 1))
+        states[:, 0] += states[:, 3] * observation.dt * np.arange(11)
+        return Plan(states=states, inputs=np.zeros((10, 2)))
+
+
 class Rocket(GoodPlanner):
     def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
         return plan_of(observation, np.full((10, 2), [0.0, 30.0]))
@@ -195,6 +204,7 @@ BAD_PLANNERS = [
     (NeedsPast, "short_history", "holds a NaN"),
     (FearsGhosts, "arms_agree_without_predictions", "the two arms differ in Plan.inputs"),
     (Teleporter, "vehicle_model", "make them with VehicleParameters.step"),
+    (PathPoints, "vehicle_model", "Plan.states[0] must be observation.ego"),
     (Rocket, "actuator_limits", "limit them with VehicleParameters.clip_input"),
     (Sleeper, "time", "move what does not change to prepare()"),
 ]

@@ -74,7 +74,12 @@ def test_report_takes_the_numbers_of_numpy_and_a_plan_takes_only_reports() -> No
 @pytest.mark.parametrize(
     ("states", "inputs", "message"),
     [
-        (np.zeros((3, 5)), np.zeros((3, 2)), r"Plan.states has shape \(3, 5\), expected \(4, 5\)"),
+        (np.zeros((3, 5)), np.zeros((3, 2)), r"Plan.states has shape \(3, 5\), expected \(4, 5\)$"),
+        (
+            np.zeros((4, 4)),
+            np.zeros((3, 2)),
+            r"expected \(4, 5\); columns: x and y of the rear axle, steering angle, velocity, h",
+        ),
         (np.zeros((3, 4)), np.zeros((2, 2)), r"expected \(3, 5\)"),
         (np.zeros((1, 5)), np.zeros((0, 2)), "needs one step"),
         (np.full((2, 5), np.nan), np.zeros((1, 2)), "Plan.states holds a NaN"),

@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
+import shapely
 
+from dosplan.geometry import rectangle_corners
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import read_manifest
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_rows
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
 from dosplan.scenario.sources.catalogue import Source, source_text
-from dosplan.scoring.collision import Contact, first_contacts
+from dosplan.scoring.collision import Contact, first_contacts, shape_at
 from dosplan.scoring.score import score
 from dosplan.system.errors import did_you_mean
 from dosplan.system.files import FileError
@@ -177,6 +179,22 @@ class Drive:
             f"{self.row.collision_with} at step {step} of the scenario: the file, or dosplan's "
             "scoring, has changed since the run"
         )
+
+    @property
+    def place(self) -> FloatArray:
+        """(2,) where the outcome was decided, m: the contact of a collision, else the ego.
+
+        Raises:
+            FileError: The recorded drive does not meet the road user that the row names.
+        """
+        pose = self.ego[self.decisive_step - self.start, :3]
+        if self.known_tracks is None or (contact := self.contact) is None:
+            return np.asarray(pose[:2])
+        # Where they are in the picture of that step: a little past the touch, perhaps.
+        tracks = self.tracks
+        other = shape_at(tracks, contact.user, tracks.states[contact.user, contact.step])
+        ego = shapely.Polygon(rectangle_corners(pose, self.vehicle.size))
+        return np.asarray(shapely.centroid(shapely.shortest_line(ego, other)).coords[0])
 
     def seconds(self, step: int) -> float:
         """Time of a step since the start, s."""

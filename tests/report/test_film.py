@@ -31,6 +31,7 @@ from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.scenario import ScenarioRef
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.simulation.loop import run_episode
+from dosplan.simulation.settings import IDEAL, LoopSettings, SensingSettings
 from dosplan.system.files import FileError
 from dosplan.types import (
     COLOURS,
@@ -60,9 +61,10 @@ ROAD = np.array(to_rgb(palette.ROAD))
 NAME = "ZAM_Test-0_1_T-1"
 
 
-def driven(scenario: Scenario, arm: Arm = Arm.WITH_DOS) -> Take:
+def driven(scenario: Scenario, arm: Arm = Arm.WITH_DOS, loop: LoopSettings = IDEAL) -> Take:
     """Drives, scores and records."""
-    drive = Drive.of(scenario, run_episode(scenario, CoastPlanner(), GrowingPredictor(), arm))
+    episode = run_episode(scenario, CoastPlanner(), GrowingPredictor(), arm, loop)
+    drive = Drive.of(scenario, episode)
     return Take(ARM_TITLES[arm], ARM_COLOURS[arm], scenario, drive.row, drive)
 
 
@@ -136,6 +138,45 @@ def test_sets_are_translucent_and_have_the_colour_of_their_step(tmp_path: Path) 
     # The other arm has a point there, in the full colour.
     point = pixel(film, picture, (50.0, 0.0), 0)
     np.testing.assert_allclose(point, SET_RAMP(4.0 / 7.0)[:3], atol=6e-3)
+
+
+def test_a_late_loop_shows_where_the_ego_saw_road_users() -> None:
+    film = Film([driven(following(gap=30.0), loop=LoopSettings(latency=0.3))], "", scale=2.0)
+    (panel,) = film.panels
+    poses, rows = panel.seen_elsewhere(10)
+    assert rows == [0]
+    # What is driven at step 10 was planned from what was seen at step 7, 2.4 m before.
+    np.testing.assert_allclose(poses, [[30.0 + 0.8 * 7, 0.0, 0.0]], atol=0.02)
+    assert panel.unseen(10) == set()
+    ghost = (35.6 - 0.5 * panel.take.tracks.size[0, 0], 0.0)  # Its back, off the car.
+    colours = {
+        tuple(pixel(film, film.picture(10), (ghost[0], y))) for y in np.arange(-0.8, 0.8, 0.05)
+    }
+    assert min(sum(colour) for colour in colours) < 1.2  # Dots of dark ink on the light road.
+    assert len(Film([driven(following(gap=30.0))], "").panels[0].seen_elsewhere(10)[1]) == 0
+
+
+def test_who_is_hidden_from_the_ego_is_drawn_faintly() -> None:
+    tracks = steady_tracks([[12.0, 0.0, 0.0, 10.0], [20.0, 0.0, 0.0, 10.0]], steps=21)
+    goal = GoalState(first_step=0, last_step=20, region=box(380.0, -1.5, 390.0, 1.5))
+    scene = straight_scenario(tracks, velocity=10.0, final_step=20, goals=[goal])
+    film = Film(
+        [driven(scene, loop=LoopSettings(sensing=SensingSettings(occlusion=True)))], "", 2.0
+    )
+    hidden = int(tracks.ids[1])
+    assert film.panels[0].unseen(10) == {hidden}
+    picture = film.picture(10)
+    car = np.array(to_rgb(KIND_COLOURS[RoadUserKind.CAR]))
+    for x, opacity in ((22.0, 1.0), (30.0, 0.25)):
+        seen = pixel(film, picture, (x - 1.0, 0.6))
+        np.testing.assert_allclose(seen, opacity * car + (1.0 - opacity) * ROAD, atol=6e-3)
+
+
+def test_the_ego_does_not_hide_whom_it_meets() -> None:
+    take = driven(following(gap=14.3, final_step=60))
+    film = Film([take], "", scale=2.0)
+    picture = film.picture(take.moment)
+    assert not np.allclose(pixel(film, picture, take.place), to_rgb(take.colour), atol=0.02)
 
 
 def test_the_lights_of_a_film_change_as_they_did(tmp_path: Path) -> None:
@@ -239,7 +280,8 @@ def test_the_recording_alone_shows_the_start_and_the_goal(tmp_path: Path) -> Non
     assert film.moment == 0
     for step in (0, 15):
         ego = pixel(film, film.picture(step), beside(film.panels[0].take, 0))
-        np.testing.assert_array_equal(ego, to_rgb(EGO_COLOUR))
+        ghost = 0.35 * np.array(to_rgb(EGO_COLOUR)) + 0.65 * ROAD  # Others may drive through it.
+        np.testing.assert_allclose(ego, ghost, atol=6e-3)
     (left, right), (bottom, top) = film.panels[0].axes.get_xlim(), film.panels[0].axes.get_ylim()
     assert box(left, bottom, right, top).contains(goal.region)
 

@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import shapely
 
-from dosplan.geometry import rectangle_corners
 from dosplan.plugins.registry import create_planner, create_predictor
 from dosplan.report.palette import ARM_COLOURS, EGO_COLOUR, INK
 from dosplan.results.drive import Drive, find_drives
 from dosplan.results.folder import RunFolder
-from dosplan.results.manifest import read_manifest
+from dosplan.results.manifest import RunManifest, read_manifest
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE
 from dosplan.scenario import ScenarioRef, has_problem, load_recording, load_scenario
-from dosplan.scoring.collision import shape_at
 from dosplan.simulation.loop import run_episode
 from dosplan.system.files import FileError
 from dosplan.types import (
@@ -31,6 +30,8 @@ from dosplan.types import (
     Signals,
     Tracks,
 )
+
+_DOT: Final = "  \N{MIDDLE DOT}  "
 
 
 @dataclass(frozen=True)
@@ -120,15 +121,9 @@ class Take:
     @property
     def place(self) -> FloatArray:
         """(2,) where the outcome was decided, m: the contact of a collision, else the ego."""
-        pose = self.ego[min(self.moment - self.start, len(self.ego) - 1), :3]
-        contact = None if self.drive is None else self.drive.contact
-        if contact is None:
-            return np.asarray(pose[:2])
-        # Where they are in the picture of that step: a little past the touch, perhaps.
-        tracks = self.tracks
-        other = shape_at(tracks, contact.user, tracks.states[contact.user, contact.step])
-        ego = shapely.Polygon(rectangle_corners(pose, self.scenario.task.vehicle.size))
-        return np.asarray(shapely.centroid(shapely.shortest_line(ego, other)).coords[0])
+        if self.drive is not None:
+            return self.drive.place
+        return np.asarray(self.ego[0, :2])
 
     def seconds(self, step: int) -> float:
         """Time of a step since the start, s."""
@@ -165,6 +160,8 @@ def takes_of_run(
     takes = {row.arm: _take(scene, row, drive) for row, drive in found}
     manifest = read_manifest(RunFolder(run))
     title = _title(ScenarioFuture(scenario, future).title, manifest.planner, manifest.predictor)
+    if manifest.loop != RunManifest.loop:
+        title += f"{_DOT}loop {manifest.loop}"
     return [takes[arm] for arm in ARMS_SIDE_BY_SIDE if arm in takes], title
 
 
@@ -227,4 +224,4 @@ def _take(scenario: Scenario, row: Score, drive: Drive | None) -> Take:
 
 
 def _title(scenario: str, planner: str, predictor: str) -> str:
-    return f"{scenario}  \N{MIDDLE DOT}  {planner} with {predictor}"
+    return f"{scenario}{_DOT}{planner} with {predictor}"

@@ -12,13 +12,14 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from dosplan.report.film.drives import Take
 from dosplan.report.film.framing import Framing, frame_scene
-from dosplan.report.film.layers import SET_RAMP
+from dosplan.report.film.layers import SEEN_DOTS, SET_RAMP, START_DASHES, Dashes
 from dosplan.report.film.paint import LAMP_HANDLER, paint_keys
 from dosplan.report.film.panel import Panel
 from dosplan.report.film.scene import off_road_key
@@ -30,6 +31,8 @@ Picture = npt.NDArray[np.uint8]
 
 _RAMP: Final = 110.0  # Pixels; width of the scale of colours.
 _TEXT: Final = 9.0  # Points.
+_BESIDE_TITLE: Final = 290.0  # Pixels; the scale with its text, and the margins.
+_LETTER: Final = 6.2  # Pixels; mean width of a letter of the title.
 _KEY: Final = 112.0  # Pixels; about the width of a key of the legend.
 
 
@@ -67,7 +70,7 @@ class Film:
             framing.left / width,
             framing.title / height,
             title,
-            size=_TEXT,
+            size=_TEXT * min((width - _BESIDE_TITLE) / (_LETTER * max(len(title), 1)), 1.0),
             color=FAINT,
             va="center",
         )
@@ -103,11 +106,18 @@ class Film:
                 facecolor=take.colour,
                 edgecolor=INK,
                 linewidth=0.6,
-                label="ego at its start" if take.row is None else f"ego {take.name}",
+                label=f"ego {take.name}",
             )
             for take in takes
-            if take.has_task
+            if take.row is not None
         ]
+        if takes[0].has_task:
+            alone = takes[0].row is None
+            keys.append(
+                _ghost_key("ego's start", START_DASHES, takes[0].colour, 0.35)
+                if alone
+                else _ghost_key("ego's start", START_DASHES, INK)
+            )
         if any(take.drive is not None for take in takes):
             keys += [
                 Line2D([], [], color=INK, linewidth=2.2, label="driven"),
@@ -118,6 +128,10 @@ class Film:
                 Line2D([], [], color=GOAL_COLOUR, linewidth=1.2, alpha=0.6, label="route"),
                 Patch(facecolor=GOAL_COLOUR, alpha=0.35, label="goal"),
             ]
+        if any(len(panel.seen_elsewhere(step)[1]) for panel in self.panels for step in self.steps):
+            keys.append(_ghost_key("where it was seen", SEEN_DOTS, INK))
+        if any(panel.unseen(step) for panel in self.panels for step in self.steps):
+            keys.append(Patch(facecolor=INK, edgecolor=INK, alpha=0.25, label="not seen (faint)"))
         keys += off_road_key(takes[0].scenario)
         keys += paint_keys(
             [lamp for panel in self.panels for lamp in panel.lamps_in_view()],
@@ -153,9 +167,13 @@ class Film:
         axes = self._figure.add_axes((left / width, low / height, _RAMP / width, 8.0 / height))
         axes.imshow(np.linspace(0.0, 1.0, 64)[None], cmap=SET_RAMP, aspect="auto")
         axes.set_axis_off()
-        first = f"predicted set or position, ahead by  {ahead.min():g}"
+        first = f"predicted, ahead by  {ahead.min():g}"
         for x, text, align in ((-0.04, first, "right"), (1.04, f"{ahead.max():g} s", "left")):
             axes.text(
                 x, 0.45, text, ha=align, va="center", size=_TEXT, color=FAINT,
                 transform=axes.transAxes,
             )  # fmt: skip
+
+
+def _ghost_key(label: str, dashes: Dashes, colour: str, fill: float = 0.0) -> Patch:
+    return Patch(facecolor=to_rgba(colour, fill), edgecolor=colour, linestyle=dashes, label=label)

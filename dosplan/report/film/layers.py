@@ -6,14 +6,14 @@ drawing a film quick.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, PathCollection, PolyCollection
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, to_rgba
 
 from dosplan.geometry import rectangle_corners, to_world
 from dosplan.report.palette import INK, LAMP_COLOURS, LAMP_RIM, SET_COLOURS, WHITE
@@ -25,6 +25,14 @@ SET_RAMP: Final = LinearSegmentedColormap.from_list("sets", SET_COLOURS)
 
 _EDGE: Final = (1.0, 1.0, 1.0, 0.9)  # Sets are translucent, so that those below are seen.
 _AREA: Final = (1.0, 1.0, 1.0, 0.25)
+Dashes = tuple[float, tuple[float, float]]
+"""Where they begin, the length of one and of the gap after it, in widths of the line."""
+START_DASHES: Final[Dashes] = (0.0, (3.0, 1.8))
+"""Of the outline of the ego at its start."""
+SEEN_DOTS: Final[Dashes] = (0.0, (1.0, 1.0))
+"""Of the outline of a road user where the ego saw it."""
+
+_FAINTLY: Final = 0.25  # Opacity.
 _LAMP: Final = 46.0  # Area of a traffic light, square points.
 _POINT: Final = 14.0  # Area of a predicted position, square points.
 
@@ -54,6 +62,7 @@ class Bodies:
         colours: Sequence[str],
         outlines: Sequence[FloatArray | None] | None = None,
         marked: Mapping[int, str] | None = None,
+        faint: Collection[int] = (),
     ) -> None:
         """Shows bodies in the place of those before.
 
@@ -63,20 +72,55 @@ class Bodies:
             colours: N colours.
             outlines: N polygons in the body frame where a body is no rectangle, None where it is.
             marked: Colour of a thick outline, by index of the body.
+            faint: Indices of the bodies that are drawn faintly.
         """
-        shapes = outlines or [None] * len(poses)
-        corners = [
-            rectangle_corners(pose, size) if shape is None else to_world(shape, pose)
-            for pose, size, shape in zip(poses, sizes, shapes, strict=True)
-        ]
+        corners = _corners(poses, sizes, outlines)
         edges, lines = [INK] * len(corners), [self._line] * len(corners)
         for index, colour in (marked or {}).items():
-            edges[index], lines[index] = colour, 2.4
+            edges[index], lines[index] = colour, 1.5
         self._bodies.set_verts(corners)
-        self._bodies.set_facecolor(list(colours))
-        self._bodies.set_edgecolor(edges)
+        opacity = [_FAINTLY if index in faint else 1.0 for index in range(len(corners))]
+        self._bodies.set_facecolor(_with_opacity(colours, opacity))
+        self._bodies.set_edgecolor(_with_opacity(edges, opacity))
         self._bodies.set_linewidth(lines)
         self._noses.set_verts([_nose(*body) for body in zip(poses, sizes, strict=True)])
+
+
+class Ghosts:
+    """Bodies where they are not now: broken outlines."""
+
+    def __init__(self, axes: Axes, dashes: Dashes, zorder: float, fill: float = 0.0) -> None:
+        """Makes the artists; nobody is shown yet.
+
+        Args:
+            axes: Where to draw.
+            dashes: Of their outlines.
+            zorder: Height among the other layers.
+            fill: Opacity of their area.
+        """
+        self._fill = fill
+        self._bodies = PolyCollection([], linewidths=1.0, linestyles=[dashes], zorder=zorder)
+        self.artists: tuple[Artist, ...] = (self._bodies,)
+        axes.add_collection(self._bodies, autolim=False)
+
+    def show(
+        self,
+        poses: FloatArray,
+        sizes: FloatArray,
+        colour: str,
+        outlines: Sequence[FloatArray | None] | None = None,
+    ) -> None:
+        """Shows outlines in the place of those before.
+
+        Args:
+            poses: (N, 3) x, y, m, and heading, rad.
+            sizes: (N, 2) length and width, m.
+            colour: Their colour.
+            outlines: N polygons in the body frame where a body is no rectangle, None where it is.
+        """
+        self._bodies.set_verts(_corners(poses, sizes, outlines))
+        self._bodies.set_facecolor(to_rgba(colour, self._fill))
+        self._bodies.set_edgecolor(colour)
 
 
 class Users(Bodies):
@@ -96,12 +140,18 @@ class Users(Bodies):
         super().__init__(axes, zorder)
         self._tracks, self._colours = tracks, colours
 
-    def show_step(self, step: int, marked: Mapping[int, str] | None = None) -> None:
+    def show_step(
+        self,
+        step: int,
+        marked: Mapping[int, str] | None = None,
+        faint: Collection[int] = (),
+    ) -> None:
         """Shows the road users on the scene.
 
         Args:
             step: Step of the recording; after its end, the scene is empty.
             marked: Colour of a thick outline, by id of the road user.
+            faint: Ids of the road users that are drawn faintly.
         """
         tracks = self._tracks
         here = on_scene(tracks, step)
@@ -112,6 +162,7 @@ class Users(Bodies):
             [self._colours[tracks.kinds[user]] for user in here],
             [tracks.outlines[user] for user in here],
             {ids.index(user): colour for user, colour in (marked or {}).items() if user in ids},
+            {ids.index(user) for user in faint if user in ids},
         )
 
 
@@ -222,6 +273,23 @@ def on_scene(tracks: Tracks, step: int) -> IntArray:
     """
     # A slice, which may be empty: an index past the end would be refused.
     return np.flatnonzero(tracks.valid[:, step : step + 1].any(axis=1)).astype(np.int64)
+
+
+def _corners(
+    poses: FloatArray, sizes: FloatArray, outlines: Sequence[FloatArray | None] | None
+) -> list[FloatArray]:
+    """N polygons, m."""
+    shapes = outlines or [None] * len(poses)
+    return [
+        rectangle_corners(pose, size) if shape is None else to_world(shape, pose)
+        for pose, size, shape in zip(poses, sizes, shapes, strict=True)
+    ]
+
+
+def _with_opacity(
+    colours: Sequence[str], opacity: Sequence[float]
+) -> list[tuple[float, float, float, float]]:
+    return [to_rgba(colour, share) for colour, share in zip(colours, opacity, strict=True)]
 
 
 def _nose(pose: FloatArray, size: FloatArray) -> FloatArray:

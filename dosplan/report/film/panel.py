@@ -12,17 +12,27 @@ from matplotlib.text import Annotation
 
 from dosplan.report.film.drives import Take
 from dosplan.report.film.framing import Framing
-from dosplan.report.film.layers import Bodies, Lamps, Sets, Users, on_scene
+from dosplan.report.film.layers import (
+    SEEN_DOTS,
+    START_DASHES,
+    Bodies,
+    Ghosts,
+    Lamps,
+    Sets,
+    Users,
+    on_scene,
+)
 from dosplan.report.film.scene import draw_map, draw_task
 from dosplan.report.palette import INK, KIND_COLOURS, OUTCOME_COLOURS, RULE, WHITE
 from dosplan.report.road_paint import Lamp, Plate, lamps, plates
 from dosplan.types import FloatArray, Outcome, RoadUserKind
 
-_GAP: Final = 0.45
-_CROSS: Final = Outline(  # Open in the middle, so that the contact is seen.
+_GAP: Final = 0.6
+_CROSS: Final = Outline(  # Open in the middle, wide enough for a car: the contact is seen.
     [(x * r, y * r) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for r in (1.0, _GAP)],
     [Outline.MOVETO, Outline.LINETO] * 4,
 )
+_ELSEWHERE: Final = 0.3  # m; who was seen as near as this to where it is has no outline there.
 _SET_METRES: Final = 40.0  # Sets of road users that are farther from the ego are left out.
 _BARS: Final = (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)  # m
 _LEAST_BAR: Final = 60.0  # Pixels.
@@ -96,10 +106,10 @@ class Panel:
         pose, velocity = take.ego[index, :3], take.ego[index, 3]
         decided = take.row is not None and now >= take.moment
         struck = take.row.collision_with if take.row is not None and decided else None
-        self._users.show_step(
-            now, {} if struck is None else {struck: OUTCOME_COLOURS[Outcome.COLLISION]}
-        )
-        if take.has_task:
+        unseen = self._show_seen(now)
+        self._users.show_step(now, faint=unseen)
+        self._show_struck(now, struck)
+        if take.row is not None:
             self._ego.show(pose[None], np.array([take.scenario.task.vehicle.size]), [take.colour])
             self._driven.set_data(*take.ego[: index + 1, :2].T)
         self._lamps.show_step(now)
@@ -120,6 +130,37 @@ class Panel:
                 away = np.abs(tracks.states[here, step, :2] - self._centre(step))
                 found |= {tracks.kinds[user] for user in here[(away < reach).all(axis=-1)]}
         return found
+
+    def unseen(self, step: int) -> set[int]:
+        """Ids of the road users in view of which the plan that acts at a step knows nothing."""
+        sighted = self._sighted(step)
+        if sighted is None:
+            return set()
+        tracks = self.take.tracks
+        here = on_scene(tracks, step)
+        away = np.abs(tracks.states[here, min(step, tracks.steps - 1), :2] - self._centre(step))
+        shown = here[(away < self._framing.reach).all(axis=-1)]
+        return set(tracks.ids[shown].tolist()) - set(sighted)
+
+    def seen_elsewhere(self, step: int) -> tuple[FloatArray, list[int]]:
+        """Road users that are not where the plan that acts at a step was told.
+
+        Args:
+            step: A step.
+
+        Returns:
+            (N, 3) poses at which the ego saw them, and their rows in the tracks.
+        """
+        tracks = self.take.tracks
+        rows = {name: row for row, name in enumerate(tracks.ids.tolist())}
+        now = min(step, tracks.steps - 1)
+        found = [
+            (state[:3], rows[name])
+            for name, state in (self._sighted(step) or {}).items()
+            if name in rows
+            and not np.linalg.norm(state[:2] - tracks.states[rows[name], now, :2]) < _ELSEWHERE
+        ]
+        return np.reshape([pose for pose, _ in found], (-1, 3)), [row for _, row in found]
 
     def lamps_in_view(self) -> list[Lamp]:
         """The traffic lights that come into view."""
@@ -148,13 +189,47 @@ class Panel:
         """Row of ``take.ego`` at a step."""
         return min(max(step - self.take.start, 0), len(self.take.ego) - 1)
 
-    def _show_cycle(self, step: int, pose: FloatArray) -> None:
-        """Shows the plan and the sets that held at a step."""
+    def _cycle(self, step: int) -> int | None:
+        """The planning cycle whose plan acts at a step; None before the first."""
         drive = self.take.drive
         if drive is None:
-            return
+            return None
         cycle = int(np.searchsorted(drive.recording.cycle_steps, step, side="right")) - 1
-        if cycle < 0:
+        return None if cycle < 0 else cycle
+
+    def _sighted(self, step: int) -> dict[int, FloatArray] | None:
+        """What the plan that acts at a step was made of: (4,) states by id; None where of all."""
+        drive, cycle = self.take.drive, self._cycle(step)
+        seen = None if drive is None else drive.recording.sightings
+        if seen is None or cycle is None:
+            return None
+        here = seen.cycle == cycle
+        return dict(zip(seen.ids[here].tolist(), seen.states[here], strict=True))
+
+    def _show_seen(self, step: int) -> set[int]:
+        """Shows where the ego saw road users; gives the ids of those that it did not see."""
+        poses, rows = self.seen_elsewhere(step)
+        tracks = self.take.tracks
+        self._seen.show(poses, tracks.size[rows], INK, [tracks.outlines[row] for row in rows])
+        return self.unseen(step)
+
+    def _show_struck(self, step: int, struck: int | None) -> None:
+        """Shows whom the ego meets, above the ego."""
+        tracks = self.take.tracks
+        rows = np.flatnonzero(tracks.ids == struck) if struck is not None else np.empty(0, int)
+        rows = np.intersect1d(rows, on_scene(tracks, step))
+        self._struck.show(
+            tracks.states[rows, min(step, tracks.steps - 1), :3],
+            tracks.size[rows],
+            [KIND_COLOURS[tracks.kinds[row]] for row in rows],
+            [tracks.outlines[row] for row in rows],
+            dict.fromkeys(range(len(rows)), OUTCOME_COLOURS[Outcome.COLLISION]),
+        )
+
+    def _show_cycle(self, step: int, pose: FloatArray) -> None:
+        """Shows the plan and the sets that held at a step."""
+        drive, cycle = self.take.drive, self._cycle(step)
+        if drive is None or cycle is None:
             return
         recording = drive.recording
         self._plan.set_data(*recording.plan_centres[cycle].T)
@@ -193,11 +268,18 @@ class Panel:
             zorder=7,
         )
         self._ego = Bodies(axes, zorder=8, line=1.0)
+        self._struck = Bodies(axes, zorder=8)
+        self._seen = Ghosts(axes, SEEN_DOTS, zorder=6)
+        # Where nobody drives, the start is all there is of the ego: others drive through it.
+        self._start = Ghosts(axes, START_DASHES, zorder=6, fill=0.35 if take.row is None else 0.0)
+        if take.has_task:
+            size = np.array([take.scenario.task.vehicle.size])
+            self._start.show(take.ego[:1, :3], size, take.colour)
         # Above the bodies: whoever drives over a stop line does not hide its light.
         self._lamps = Lamps(axes, lamps(take.scenario.road_map, take.signals), zorder=8)
         outcome = Outcome.SUCCESS if take.row is None else take.row.outcome
         good, colour = outcome is Outcome.SUCCESS, OUTCOME_COLOURS[outcome]
-        shape, extent = ("o", 26.0) if good else (_CROSS, 30.0)  # Points.
+        shape, extent = ("o", 26.0) if good else (_CROSS, 46.0)  # Points.
         self._marks = [
             axes.plot(
                 *take.place[:, None],
@@ -229,8 +311,11 @@ class Panel:
             *self._sets.artists,
             self._driven,
             *self._users.artists,
+            *self._start.artists,
+            *self._seen.artists,
             self._plan,
             *self._ego.artists,
+            *self._struck.artists,
             *self._lamps.artists,
             *self._marks,
             self._clock,

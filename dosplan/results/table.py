@@ -255,13 +255,29 @@ def make_table(
     if not entries:
         raise CompareError(f"no run of {', '.join(specs)} is finished")
     chosen = None if baseline is None else _baseline(entries, baseline)
-    by_driven: dict[Any, list[Entry]] = {}
+    blocks = [
+        make_block(members, tuple(columns), chosen)
+        for members in by_driven(entries, across_worlds=across_worlds)
+    ]
+    return Table(tuple(columns), tuple(blocks), missing)
+
+
+def by_driven(entries: Iterable[Entry], *, across_worlds: bool = False) -> list[list[Entry]]:
+    """Sorts arms by what they drove.
+
+    Args:
+        entries: The arms.
+        across_worlds: Whether worlds may mix.
+
+    Returns:
+        Those that drove the same scenarios and futures, in one world, together.
+    """
+    found: dict[Any, list[Entry]] = {}
     for entry in entries:
         driven = frozenset(row.scenario_future for row in entry.side.rows)
         world = () if across_worlds else entry.world
-        by_driven.setdefault((driven, world), []).append(entry)
-    blocks = [_block(members, chosen, tuple(columns)) for members in by_driven.values()]
-    return Table(tuple(columns), tuple(blocks), missing)
+        found.setdefault((driven, world), []).append(entry)
+    return list(found.values())
 
 
 def read_entries(specs: Sequence[str]) -> tuple[list[Entry], tuple[str, ...]]:
@@ -347,7 +363,20 @@ def _baseline(entries: Sequence[Entry], spec: str) -> Entry:
     return found[0]
 
 
-def _block(entries: Sequence[Entry], chosen: Entry | None, columns: tuple[str, ...]) -> Block:
+def make_block(
+    entries: Sequence[Entry], columns: tuple[str, ...] = COLUMNS, chosen: Entry | None = None
+) -> Block:
+    """Makes the block of arms that drove the same.
+
+    Args:
+        entries: The arms.
+        columns: Names of metrics.
+        chosen: What the others are compared with, or its like in this world; None for the first arm
+            without sets, or the first one.
+
+    Returns:
+        The block.
+    """
     base: Entry | None = next(
         (entry for entry in entries if entry.side.arm is Arm.WITHOUT_DOS), entries[0]
     )

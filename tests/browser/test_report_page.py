@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ playwright.expect.set_options(timeout=120_000)  # A busy machine is slow to draw
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 LAPTOP = {"width": 1366, "height": 768}
+PHONE = {"width": 390, "height": 844}
 
 pytestmark = [
     pytest.mark.slow,
@@ -48,28 +50,50 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
         path = folder / "scenes" / f"{name}.xml"
         path.parent.mkdir(exist_ok=True)
         write_scenario_xml(path, users=[user], problems=problems, benchmark_id=name)
-    plugins = ["--planner", f"{PLUGINS}:CoastPlanner", "--predictor", "growing-circle"]
-    out = ["--workers", "1", "--out", str(folder / "run")]
-    assert main(["run", str(folder / "scenes"), *plugins, *out]) == cli.OK
+    _drive(folder, "run", f"{PLUGINS}:CoastPlanner")
     return folder / "run" / "report.html"
 
 
-@pytest.fixture
-def opened(report: Path) -> Iterator[Any]:
-    """The page; whatever the browser complains of fails the test."""
+@pytest.fixture(scope="module")
+def of_several(report: Path) -> Path:
+    """The page of that run and of one that brakes for the car."""
+    folder = report.parent.parent
+    _drive(folder, "idm", "idm", "--with-dos")
+    page = folder / "several.html"
+    runs = [str(folder / name) for name in ("run", "idm")]
+    assert main(["report", *runs, "--out", str(page)]) == cli.OK
+    return page
+
+
+def _drive(folder: Path, name: str, planner: str, *more: str) -> None:
+    plugins = ["--planner", planner, "--predictor", "growing-circle"]
+    out = ["--workers", "1", "--out", str(folder / name)]
+    assert main(["run", str(folder / "scenes"), *plugins, *out, *more]) == cli.OK
+
+
+@contextmanager
+def _browser(path: Path, **context: Any) -> Iterator[Any]:
+    """A page; whatever the browser complains of fails the test."""
     complaints: list[str] = []
     with playwright.sync_playwright() as driver:
         arguments = ["--no-sandbox", "--disable-gpu", "--disable-background-networking"]
         browser = driver.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        page = browser.new_page(viewport=LAPTOP, color_scheme="light")
+        page = browser.new_page(**{"viewport": LAPTOP, "color_scheme": "light"} | context)
         page.set_default_timeout(120_000)
         page.on("console", lambda message: complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on("request", lambda request: complaints.extend(_outside(request.url)))
-        page.goto(report.as_uri())
+        page.goto(path.as_uri())
         yield page
         browser.close()
     assert complaints == []
+
+
+@pytest.fixture
+def opened(report: Path) -> Iterator[Any]:
+    """The page of one run."""
+    with _browser(report) as page:
+        yield page
 
 
 def _outside(url: str) -> list[str]:
@@ -159,3 +183,62 @@ def test_a_link_opens_its_episode(opened: Any, report: Path) -> None:
     opened.goto(f"{report.as_uri()}#ZAM_Free-1_1_T-1")
     opened.wait_for_selector("dialog[open]")
     assert opened.text_content("dialog h2") == "ZAM_Free-1_1_T-1"
+
+
+def test_any_two_arms_are_chosen_and_watched_over_each_other(of_several: Path) -> None:
+    with _browser(of_several, reduced_motion="reduce") as page:
+        headings = page.locator("table.cases thead button").all_text_contents
+        answer = page.locator(".answer:visible")
+        assert {"run without DOS", "run with DOS"} <= set(headings())
+        assert "on run with DOS, in" in answer.text_content()
+        page.select_option("select[name=view]", "1-2")
+        assert {"run with DOS", "idm with DOS"} <= set(headings())
+        assert "run without DOS" not in headings()
+        assert "on idm with DOS, in" in answer.text_content()
+        assert page.locator(".filters label:visible", has_text="run without DOS").count() == 0
+        assert page.text_content(".filters output") == "2 of 2"
+        page.locator(".open", has_text="ZAM_Hit").click()
+        page.wait_for_selector("dialog[open]")
+        assert page.locator(".side:visible b").all_text_contents() == [
+            "run with DOS",
+            "idm with DOS",
+        ]
+        page.keyboard.press("End")
+        before = _pixels(page)
+        page.get_by_label("idm with DOS", exact=True).uncheck()
+        assert _pixels(page) != before
+        # A third one can be switched on, too.
+        page.get_by_label("run without DOS", exact=True).check()
+        assert page.locator(".side:visible b").count() == 3
+
+
+@pytest.mark.parametrize("viewport", [PHONE, {"width": 768, "height": 900}, LAPTOP])
+def test_nothing_is_wider_than_the_screen(of_several: Path, viewport: dict[str, int]) -> None:
+    with _browser(of_several, viewport=viewport, reduced_motion="reduce") as page:
+
+        def width() -> int:
+            found: int = page.evaluate("document.documentElement.scrollWidth")
+            return found
+
+        assert width() <= viewport["width"]
+        page.locator(".open", has_text="ZAM_Hit").click()
+        page.wait_for_selector("dialog[open]")
+        assert width() <= viewport["width"]
+        canvas = page.locator(".stage > canvas").bounding_box()
+        assert canvas["width"] > 0.5 * viewport["width"]
+        assert canvas["height"] > 0.3 * viewport["height"]
+        controls = page.locator(".controls").bounding_box()
+        assert controls["y"] + controls["height"] <= viewport["height"]
+
+
+def test_what_is_printed_is_dark_on_white_and_whole(of_several: Path) -> None:
+    with _browser(of_several, color_scheme="dark") as page:
+        page.emulate_media(media="print")
+        paper = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert paper == "rgb(255, 255, 255)"
+        assert page.locator(".filters:visible, #theme:visible").count() == 0
+        inner, outer = page.evaluate(
+            "(({ scrollHeight, clientHeight }) => [scrollHeight, clientHeight])"
+            "(document.querySelector('.scroll.cases'))"
+        )
+        assert inner <= outer

@@ -6,6 +6,7 @@ import base64
 import gzip
 import json
 import re
+import shutil
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -18,20 +19,25 @@ from hypothesis import strategies as st
 
 from dosplan.cli import main as cli
 from dosplan.cli.main import main
-from dosplan.report.html import page
+from dosplan.report.html import findings, page
 from dosplan.report.html.cases import Case, change_of
 from dosplan.report.html.codec import METRE, differences, pack, polyline
 from dosplan.report.html.coverage import predictions_of, sets_met, total
+from dosplan.report.html.figures import MOST_SIDES
 from dosplan.report.html.player import encode_episode
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.html.scenarios import families, find_scenes
-from dosplan.report.html.write import write_report
+from dosplan.report.html.write import write_report, write_runs
 from dosplan.report.palette import ARM_COLOURS, LAMP_COLOURS, SIGN_RED
+from dosplan.results.comparison import compare_rows
 from dosplan.results.drive import Drive
-from dosplan.results.markdown import ARMS_SIDE_BY_SIDE
+from dosplan.results.manifest import RunSettings
+from dosplan.results.markdown import ARMS_SIDE_BY_SIDE, interval_text
 from dosplan.results.recording import Recording
 from dosplan.results.rows import row_line
+from dosplan.results.sweeps import SweepFolder, SweepRun
 from dosplan.scenario.synthetic import steady_tracks
+from dosplan.scoring.metrics import find_metric
 from dosplan.scoring.score import failed_score
 from dosplan.simulation.loop import run_episode
 from dosplan.simulation.traffic import Replay, Traffic
@@ -99,6 +105,12 @@ def _write_run(folder: Path, rows: list[Score], source: str = "nowhere") -> Path
     write_json(folder / "run.json", manifest)
     (folder / "scenarios.jsonl").write_text("".join(map(row_line, rows)), encoding="utf-8")
     return folder
+
+
+def _arm_rows(arm: Arm, reached: str) -> list[Score]:
+    """A row for each sign: ``+`` reached the goal, ``x`` collided, ``?`` could not be used."""
+    outcomes = {"+": Outcome.SUCCESS, "x": Outcome.COLLISION, "?": Outcome.UNUSABLE}
+    return [_row(f"ZAM_A-{i}_1_T-1", arm, outcomes[sign]) for i, sign in enumerate(reached)]
 
 
 def _data(html: str) -> dict[str, Any]:
@@ -391,7 +403,7 @@ def test_a_run_writes_its_report(driven: Path) -> None:
     assert section["names"] == ["without DOS", "with DOS"]
     hit, free = section["cases"]  # What failed comes first.
     assert [hit["id"], free["id"]] == ["ZAM_Hit-1_1_T-1", "ZAM_Free-1_1_T-1"]
-    assert hit["change"] == "both failed"
+    assert [side["outcome"] for side in hit["sides"]] == ["collision", "collision"]
     # From 10 m at 10 m/s, half a car's length before 28 m less the ego's own: some 1.3 s.
     assert re.match(r"ran into car 8, which stood after 1\.\d s; at fault", hit["sides"][0]["why"])
     payload = _unpacked(hit["episode"])
@@ -509,7 +521,7 @@ def test_groups_that_fail_come_first(tmp_path: Path) -> None:
 def test_groups_of_one_meaning_are_shown_once() -> None:
     def titles(pairs: list[tuple[str, str]]) -> list[str]:
         row = _row("s", Arm.WITH_DOS, Outcome.SUCCESS)
-        rest: tuple[Any, ...] = ("succeeded", (row,), ("",), (None,), (np.empty(0),), {}, (), None)
+        rest: tuple[Any, ...] = ((row,), ("",), (None,), (np.empty(0),), {}, (), None)
         cases = [Case(row.scenario_future, family, road, *rest) for road, family in pairs]
         return [title for title, _ in page.group_tables(cases, 1)]
 
@@ -583,3 +595,126 @@ def test_a_row_without_a_recording_tells_what_it_can(tmp_path: Path) -> None:
     ((case,),) = (section["cases"] for section in _data(html)["sections"])
     assert case["sides"][0]["why"] == "touched road user 3; at fault"
     assert "episode" not in case
+
+
+def test_the_introduction_says_how_often_the_sets_held() -> None:
+    tracks = steady_tracks([[30.0, 0.0, 0.0, 8.0]])  # At 66 m, then, a second after, at 70 m.
+    far = np.array([[66.0, 0.0], [75.0, 0.0]])
+    near = np.array([[66.0, 0.0], [70.5, 0.0]])
+    row = _row("s", Arm.WITH_DOS, Outcome.SUCCESS)
+    cases = []
+    for centres in (near, near, near, far):
+        recording = _recording(Arm.WITH_DOS, centres, np.ones((2, 2)), 0.0)
+        met = (None, sets_met(recording, tracks, driven=2))
+        cycle_ms = (np.empty(0), np.empty(0))
+        cases.append(
+            Case(row.scenario_future, "", "", (row, row), ("", ""), met, cycle_ms, {}, (), None)
+        )
+    assert findings.held(cases, ["without DOS", "with DOS"]) == [
+        "Of moving road users near the ego, the sets with DOS held the true centre of 75.0 % "
+        "1 s ahead."
+    ]
+
+
+def test_any_two_arms_of_several_runs_are_compared(tmp_path: Path) -> None:
+    arms = {
+        ("a", Arm.WITHOUT_DOS): _arm_rows(Arm.WITHOUT_DOS, "xxxxxxx+++"),
+        ("a", Arm.WITH_DOS): _arm_rows(Arm.WITH_DOS, "x++++++++x"),
+        ("b", Arm.WITH_DOS): _arm_rows(Arm.WITH_DOS, "++++++++++"),
+    }
+    runs = []
+    for name in "ab":
+        rows = [row for (run, _), found in arms.items() if run == name for row in found]
+        runs.append(str(_write_run(tmp_path / name, rows)))
+    html = write_runs(runs, tmp_path / "page.html").read_text("utf-8")
+    (section,) = _data(html)["sections"]
+    assert section["names"] == ["a without DOS", "a with DOS", "b with DOS"]
+    assert section["views"] == [[0, 1], [0, 2], [1, 2]]
+    sides = list(arms.values())
+    for first, last in section["views"]:
+        found = compare_rows(sides[first], sides[last]).differences["success"]
+        shown = interval_text(find_metric("success"), found)
+        cells = re.findall(rf'<td data-view="{first}-{last}"[^>]*>([^<]*)</td>', html)
+        assert shown in cells
+    answers = re.findall(r'<div data-view="([\d-]+)"( hidden)?>\s*<p class="answer">([^<]*)<', html)
+    assert [(view, bool(hidden)) for view, hidden, _ in answers] == [
+        ("0-1", False),
+        ("0-2", True),
+        ("1-2", True),
+    ]
+    assert answers[1][2] == (
+        "Better on b with DOS: success in 10 of 10 scenarios on b with DOS, in 3 on a without DOS."
+    )
+    # The baseline is the arm without sets; the other two have a difference and its interval.
+    assert html.count("Minus a:without_dos") == 1
+    assert "+70.0 [" in html
+
+
+def test_what_one_of_several_runs_could_not_use_is_listed_and_left_out(tmp_path: Path) -> None:
+    for name, reached in (("a", "++x?"), ("b", "+xx+")):
+        _write_run(tmp_path / name, _arm_rows(Arm.WITH_DOS, reached))
+    runs = [str(tmp_path / name) for name in "ab"]
+    html = write_runs(runs, tmp_path / "page.html").read_text("utf-8")
+    (section,) = _data(html)["sections"]
+    assert {case["id"] for case in section["cases"]} == {f"ZAM_A-{i}_1_T-1" for i in range(3)}
+    assert "<tr><td>ZAM_A-3_1_T-1</td>" in html
+
+
+def test_runs_of_other_scenarios_are_not_set_beside_each_other(tmp_path: Path) -> None:
+    _write_run(tmp_path / "a", _arm_rows(Arm.WITH_DOS, "++x"))
+    _write_run(tmp_path / "b", _arm_rows(Arm.WITH_DOS, "++x+"))
+    runs = [str(tmp_path / name) for name in "ab"]
+    sections = _data(write_runs(runs, tmp_path / "page.html").read_text("utf-8"))["sections"]
+    assert [section["names"] for section in sections] == [["a with DOS"], ["b with DOS"]]
+
+
+def test_arms_for_which_there_is_no_colour_are_in_the_table(tmp_path: Path) -> None:
+    names = [f"run{i}" for i in range(MOST_SIDES + 2)]
+    for name in names:
+        _write_run(tmp_path / name, _arm_rows(Arm.WITH_DOS, "++x"))
+    runs = [str(tmp_path / name) for name in names]
+    html = write_runs(runs, tmp_path / "page.html").read_text("utf-8")
+    (section,) = _data(html)["sections"]
+    assert section["names"] == [f"{name} with DOS" for name in names[:MOST_SIDES]]
+    assert all(f">{name}<" in html or f"</i>{name}<" in html for name in names)
+    assert f"{MOST_SIDES} arms, those with a colour" in html
+    colours = {int(side) for side in re.findall(r"--side-(\d+): #", html)}
+    assert colours == set(range(MOST_SIDES))
+
+
+def test_several_runs_share_the_predictions_that_they_share(driven: Path, tmp_path: Path) -> None:
+    shutil.copytree(driven, tmp_path / "again")
+    runs = [str(driven), str(tmp_path / "again")]
+    html = write_runs(runs, tmp_path / "page.html").read_text("utf-8")
+    (section,) = _data(html)["sections"]
+    (alone,) = _data((driven / "report.html").read_text("utf-8"))["sections"]
+    for both, one in zip(section["cases"], alone["cases"], strict=True):
+        four, two = _unpacked(both["episode"]), _unpacked(one["episode"])
+        assert four["sides"] == two["sides"] * 2
+        assert four["predictions"] == two["predictions"]
+    assert 'href="again/report.html"' in html
+
+
+def test_the_command_takes_several_runs_or_one_arm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [*_arm_rows(Arm.WITHOUT_DOS, "x+"), *_arm_rows(Arm.WITH_DOS, "++")]
+    a, b = (str(_write_run(tmp_path / name, rows)) for name in "ab")
+    monkeypatch.chdir(tmp_path)
+    for runs, names in (
+        ([a, b], ["a without DOS", "a with DOS", "b without DOS", "b with DOS"]),
+        ([f"{a}:with_dos"], ["a with DOS"]),
+        ([f"{b}:with_dos", f"{a}:with_dos"], ["b with DOS", "a with DOS"]),
+    ):
+        assert main(["report", *runs]) == cli.OK
+        (section,) = _data((tmp_path / "report.html").read_text("utf-8"))["sections"]
+        assert section["names"] == names
+    assert not (Path(a) / "report.html").exists()
+    sweep = SweepFolder(tmp_path)
+    sweep.write(tuple(SweepRun(name=name, settings=RunSettings()) for name in "ab"))
+    monkeypatch.chdir(a)
+    assert main(["report", f"{sweep.path}"]) == cli.OK
+    assert "b with DOS" in (sweep.path / "report.html").read_text("utf-8")
+    capsys.readouterr()
+    assert main(["report", a, str(tmp_path / "none")]) == cli.BAD_INPUT
+    assert "none is not a run folder" in capsys.readouterr().err

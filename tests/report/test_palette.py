@@ -82,6 +82,8 @@ def test_a_page_has_the_colours_of_films_and_their_hues_where_it_is_dark() -> No
         for block in re.findall(r":root(?:\[[^]]*\])? \{(.*?)\}", css, re.DOTALL)[:2]
     )
     meant = {f"side-{i}": palette.ARM_COLOURS[arm] for i, arm in enumerate(ARMS_SIDE_BY_SIDE)}
+    others = enumerate(palette.SERIES, len(ARMS_SIDE_BY_SIDE))
+    meant |= {f"side-{i}": colour for i, colour in others}
     meant |= {
         outcome.value: colour
         for outcome, colour in palette.OUTCOME_COLOURS.items()

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -31,6 +32,7 @@ _UP: Final = (("collision", "collisions, %"), ("at_fault_collision", "at-fault c
 _ACROSS: Final = (("velocity", "velocity, m/s"), ("success", "success, %"))
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 _POINT_MARKERS: Final = ("s", "D", "p", "h", "8")
+_NONE: Final[Mapping[str, str]] = MappingProxyType({})
 _SMALLEST, _LARGEST = 2.0, 5.5  # Markers of the lowest and the highest coverage.
 
 
@@ -116,11 +118,12 @@ def _percent(name: str) -> float | None:
     return value if value > 1.0 else 100.0 * value
 
 
-def draw(table: Table) -> Figure:
+def draw(table: Table, colours: Mapping[str, str] = _NONE) -> Figure:
     """Draws the figure.
 
     Args:
         table: The runs, with the ``COLUMNS``.
+        colours: Of arms that have one elsewhere, by ``RUN:arm``, where they are single points.
 
     Returns:
         A figure of a page's width: a row for all collisions and one for those at fault.
@@ -135,7 +138,7 @@ def draw(table: Table) -> Figure:
     sizes = dict(zip(levels, np.linspace(_SMALLEST, _LARGEST, len(levels)), strict=True))
     figure = style.new_figure(style.PAGE, 5.6)
     panels = figure.subplots(len(_UP), len(_ACROSS), sharex="col", sharey="row", squeeze=False)
-    looks = _looks(found)
+    looks = _looks(found, colours)
     for line, (up, y_title) in zip(panels, _UP, strict=True):
         for axes, (across, x_title) in zip(line, _ACROSS, strict=True):
             for method in found:
@@ -172,14 +175,14 @@ def _caption(levels: Sequence[float], base: Row | None) -> str:
         lines.append(f"Coverage of the sets {listed} %: the larger the marker, the more.")
     if base is not None:
         at = f" at {BARS_AT:g} % coverage and of single points" if levels else ""
-        name = ", ".join(base.values.values()) or base.run
+        name = ", ".join(base.values.values()) or base.spec
         lines.append(
             f"Bars{at}: 95 % interval of the paired difference from {name} (dashed lines)."
         )
     return "\n".join(lines)
 
 
-def _looks(found: Sequence[Method]) -> dict[str, dict[str, Any]]:
+def _looks(found: Sequence[Method], colours: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     """How each method is drawn; no two of them differ by their colour alone."""
     curves = [method for method in found if method.levels]
     looks: dict[str, dict[str, Any]] = {
@@ -194,7 +197,7 @@ def _looks(found: Sequence[Method]) -> dict[str, dict[str, Any]]:
     for i, method in enumerate(points):
         ranked = method.rows[0].ranked
         looks[method.title] = {
-            "color": INK,
+            "color": colours.get(method.rows[0].spec, INK),
             "marker": _POINT_MARKERS[i % len(_POINT_MARKERS)] if ranked else "*",
             "linestyle": "none",
             "markerfacecolor": "white",

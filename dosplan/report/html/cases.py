@@ -63,8 +63,6 @@ class Case:
         driven: Its id and the future.
         family: Where it comes from.
         kind: What happens in it, or its kind of road.
-        change: What the second side changed: ``fixed``, ``broken``, ``both failed``, ``both
-            succeeded``; for one side ``failed`` or ``succeeded``.
         rows: The row of each side.
         why: For each side, the cause of the outcome.
         met: The sets that each side met, or None where that is not known.
@@ -77,7 +75,6 @@ class Case:
     driven: ScenarioFuture
     family: str
     kind: str
-    change: str
     rows: tuple[Score, ...]
     why: tuple[str, ...]
     met: tuple[SetsMet | None, ...]
@@ -106,10 +103,11 @@ def change_of(rows: Sequence[Score]) -> str:
     """Says in a word how the outcomes of a scenario differ.
 
     Args:
-        rows: The row of each side.
+        rows: The row of each of two sides, or of the only one.
 
     Returns:
-        The word, see ``Case.change``.
+        What the second one changed: ``fixed``, ``broken``, ``both failed``, ``both succeeded``; for
+        one alone ``failed`` or ``succeeded``. ``static/table.js`` knows the same words.
     """
     reached = [row.outcome is Outcome.SUCCESS for row in rows]
     if len(reached) == 1:
@@ -123,8 +121,11 @@ def change_of(rows: Sequence[Score]) -> str:
 
 
 def _urgency(rows: Sequence[Score]) -> int:
-    changes = ("fixed", "broken", "both failed", "failed", "both succeeded", "succeeded")
-    return changes.index(change_of(rows))
+    """Of several sides, those that differ first, then what failed in all of them."""
+    reached = [row.outcome is Outcome.SUCCESS for row in rows]
+    if all(reached) or not any(reached):
+        return 3 if reached[0] else 2
+    return 0 if reached[-1] else 1
 
 
 def _rows(pairing: Pairing, driven: ScenarioFuture) -> tuple[Score, ...]:
@@ -146,7 +147,6 @@ def _case(pairing: Pairing, driven: ScenarioFuture, family: str, examined: bool)
         driven=driven,
         family=family,
         kind=pairing.scenes.kind(scenario, scene),
-        change=change_of(rows),
         rows=rows,
         why=tuple(_why(row, one, drive) for row, one, drive in zip(rows, met, drives, strict=True)),
         met=met,

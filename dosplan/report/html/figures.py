@@ -18,20 +18,30 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from dosplan.report.figures import frontier
 from dosplan.report.html.coverage import Coverage
-from dosplan.types import STEP_SECONDS, FloatArray
+from dosplan.report.palette import FAINT, INK, SERIES, WHITE
+from dosplan.results.table import Table
+from dosplan.types import STEP_SECONDS, Arm, FloatArray
 
 Series = Mapping[str, FloatArray]
 """Values by the name of the side, in the page's order of sides."""
 
 _INK: Final = "#010203"
 _FAINT: Final = "#040506"
-_SIDES: Final = ("#070809", "#0a0b0c")
+MOST_SIDES: Final = len(Arm) + len(SERIES)
+"""So many sides have a colour, in ``static/style.css``: the arms of a run, and others."""
+
+_SIDES: Final = tuple(f"#0708{side:02x}" for side in range(MOST_SIDES))
 _VARIABLES: Final = {
     _INK: "var(--ink)",
     _FAINT: "var(--faint)",
-    _SIDES[0]: "var(--side-0)",
-    _SIDES[1]: "var(--side-1)",
+    **{colour: f"var(--side-{side})" for side, colour in enumerate(_SIDES)},
+    # Of the figures for paper, which are drawn on white.
+    INK: "var(--ink)",
+    FAINT: "var(--faint)",
+    WHITE: "var(--paper)",
+    **{colour: f"var(--side-{side})" for side, colour in enumerate(SERIES, len(Arm))},
 }
 _STYLE: Final = {
     "svg.fonttype": "none",
@@ -83,7 +93,8 @@ def histogram(
             axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
             axes.xaxis.set_minor_formatter(NullFormatter())
-        return _svg(figure, axes)
+        _explain(axes)
+        return _svg(figure)
 
 
 def coverage_plot(coverages: Mapping[str, Sequence[Coverage]]) -> str:
@@ -108,7 +119,25 @@ def coverage_plot(coverages: Mapping[str, Sequence[Coverage]]) -> str:
                 axes.plot(time, share, line, color=colour, markersize=3, linewidth=1.4, label=label)
         axes.set_ylim(0.0, 101.0)
         axes.set_xlim(left=0.0)
-        return _svg(figure, axes)
+        _explain(axes)
+        return _svg(figure)
+
+
+def frontier_plot(table: Table, sides: Mapping[str, int]) -> str:
+    """Draws collisions over velocity and success of all arms: what sets cost and prevent.
+
+    Args:
+        table: The arms, in one block.
+        sides: Which of them are sides of the page: index by ``RUN:arm``.
+
+    Returns:
+        An ``svg`` element.
+    """
+    with mpl.rc_context(_STYLE):
+        figure = frontier.draw(table, {spec: _SIDES[side] for spec, side in sides.items()})
+        for patch in (figure.patch, *(axes.patch for axes in figure.axes)):
+            patch.set_alpha(0.0)
+        return _svg(figure)
 
 
 def _empty(xlabel: str, ylabel: str) -> tuple[Figure, Axes]:
@@ -132,9 +161,12 @@ def _edges(pooled: FloatArray, log: bool) -> FloatArray:
     return np.linspace(low, max(high, low + 1e-3), _BINS + 1)
 
 
-def _svg(figure: Figure, axes: Axes) -> str:
+def _explain(axes: Axes) -> None:
     if axes.get_legend_handles_labels()[1]:
         axes.legend(loc="best")
+
+
+def _svg(figure: Figure) -> str:
     file = io.StringIO()
     figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     text = file.getvalue()

@@ -13,17 +13,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from dosplan.report.html.cases import OUTCOME_WORDS, Case
+from dosplan.report.html.cases import OUTCOME_WORDS, Case, change_of
 from dosplan.report.html.coverage import Coverage, total
-from dosplan.report.html.sides import Pairing, Side
+from dosplan.report.html.sides import Pairing, Side, View
 from dosplan.results.intervals import metric_interval
-from dosplan.results.markdown import interval_text, test_name
+from dosplan.results.markdown import ARM_TITLES, interval_text, test_name
 from dosplan.results.paired import Difference
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Group, Metric, find_metric
 from dosplan.types import STEP_SECONDS, FloatArray, Outcome, Score
 
-_LOOK_AHEAD: Final = (1.0, 2.0, 3.0)  # s; where coverage is given beside collisions.
+_LOOK_AHEAD: Final = (1.0, 2.0, 3.0)  # s; where coverage is given.
 _SIGNIFICANT: Final = 0.05
 
 
@@ -35,9 +35,9 @@ def headline(pairing: Pairing, cases: Sequence[Case]) -> list[dict[str, Any]]:
         cases: Its cases; percentiles of cycle times are of those that were read.
 
     Returns:
-        Rows of ``title``, ``sides`` (a value and its interval each) and ``difference`` (cells,
-        empty where there is none). Left out are a metric without a value on any side, and what of
-        the solver is zero on all of them.
+        Rows of ``title``, ``sides`` (a value and its interval each) and ``differences`` (for each
+        view its cells, empty where there is none). Left out are a metric without a value on any
+        side, and what of the solver is zero on all of them.
     """
     cycles = [pooled_cycle_ms(cases, side) for side in range(len(pairing.sides))]
     rows = []
@@ -50,7 +50,7 @@ def headline(pairing: Pairing, cases: Sequence[Case]) -> list[dict[str, Any]]:
                 {
                     "title": metric.long_heading,
                     "sides": [_cell(metric, *side) for side in zip(held, figures, strict=True)],
-                    "difference": _difference(metric, pairing),
+                    "differences": [_difference(metric, pairing, view) for view in pairing.views],
                 }
             )
     return rows
@@ -69,21 +69,23 @@ def pooled_cycle_ms(cases: Iterable[Case], side: int) -> FloatArray:
     return np.concatenate([np.empty(0), *(case.cycle_ms[side] for case in cases)])
 
 
-def answer(pairing: Pairing) -> str:
-    """Says in a sentence whether the second side is better than the first.
+def answer(pairing: Pairing, view: View) -> str:
+    """Says in a sentence whether the second side of a view is better than the first.
 
     Args:
         pairing: What is set beside what.
+        view: Which of its sides.
 
     Returns:
         Text.
     """
-    last, reached = pairing.sides[-1], [_succeeded(side) for side in pairing.sides]
+    sides = [pairing.sides[index] for index in view]
+    last, reached = sides[-1], [_succeeded(side) for side in sides]
     if not pairing.driven:
         return "Nothing was driven."
-    if pairing.comparison is None:
+    if view not in pairing.comparisons:
         return f"Success {_name(last.name)} in {reached[-1]} of {len(last.rows)} {pairing.unit}."
-    success = pairing.comparison.differences.get("success")
+    success = pairing.comparisons[view].differences.get("success")
     if success is None:
         return "Nothing can be compared: the traffic failed."
     found = "No clear difference"
@@ -91,15 +93,16 @@ def answer(pairing: Pairing) -> str:
         found = f"{'Better' if success.difference > 0.0 else 'Worse'} {_name(last.name)}"
     return (
         f"{found}: success in {reached[1]} of {success.n} {pairing.unit} {_name(last.name)}, "
-        f"in {reached[0]} {_name(pairing.sides[0].name)}."
+        f"in {reached[0]} {_name(sides[0].name)}."
     )
 
 
-def grounds(pairing: Pairing) -> list[str]:
+def grounds(pairing: Pairing, view: View) -> list[str]:
     """Gives the grounds of the answer, and what failed.
 
     Args:
         pairing: What is set beside what.
+        view: Which of its sides.
 
     Returns:
         Sentences.
@@ -107,17 +110,58 @@ def grounds(pairing: Pairing) -> list[str]:
     if not pairing.driven:
         return ["No scenario is usable."]
     sentences = []
-    if pairing.comparison is not None and "success" in pairing.comparison.differences:
-        metric, success = find_metric("success"), pairing.comparison.differences["success"]
+    comparison = pairing.comparisons.get(view)
+    if comparison is not None and "success" in comparison.differences:
+        metric, success = find_metric("success"), comparison.differences["success"]
         verdict = "more than chance brings about" if _beyond_chance(success) else "may be chance"
         sentences.append(
             f"The difference in success is {metric.shown(success.difference, '+')} points (95 % "
-            f"interval {interval_text(metric, success)}; {test_name(pairing.comparison)} "
+            f"interval {interval_text(metric, success)}; {test_name(comparison)} "
             f"p = {success.p:.2g}): {verdict}."
         )
     return sentences + [
-        f"Failed {_name(side.name)}: {_failures(side)}." for side in pairing.sides[::-1]
+        f"Failed {_name(side.name)}: {_failures(side)}."
+        for side in (pairing.sides[index] for index in view[::-1])
     ]
+
+
+def held(cases: Sequence[Case], names: Sequence[str]) -> list[str]:
+    """Says how often the sets of each side held whom they were of.
+
+    Args:
+        cases: The cases.
+        names: Names of the sides.
+
+    Returns:
+        A sentence for each side that met sets.
+    """
+    sentences = []
+    for side, name in enumerate(names):
+        shares = [
+            f"{share} % {time:g} s ahead"
+            for time, share in zip(_LOOK_AHEAD, held_cells(cases, side), strict=True)
+            if share != "-"
+        ]
+        if shares:
+            sentences.append(
+                f"Of moving road users near the ego, the sets {_name(name)} held the true centre "
+                f"of {', '.join(shares)}."
+            )
+    return sentences
+
+
+def held_cells(cases: Iterable[Case], side: int) -> list[str]:
+    """Share of the sets of moving road users that held the true centre.
+
+    Args:
+        cases: The cases.
+        side: Index of the side.
+
+    Returns:
+        In %, at each of the times looked ahead; ``-`` where none was met.
+    """
+    coverage = coverage_of(cases, side)
+    return [_covered(coverage, time) for time in _LOOK_AHEAD]
 
 
 def _succeeded(side: Side) -> int:
@@ -140,20 +184,22 @@ def _failures(side: Side) -> str:
     return ", ".join(words) or "none"
 
 
-def shortcuts(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, str]]:
+def shortcuts(pairing: Pairing, cases: Sequence[Case], view: View) -> list[tuple[str, str]]:
     """Filters from the result to the scenarios behind it.
 
     Args:
-        cases: The cases.
-        names: Names of the sides.
+        pairing: What is set beside what.
+        cases: Its cases.
+        view: Which of its sides.
 
     Returns:
         Filters of the list of scenarios that find something, and what to call them.
     """
-    counts = Counter(case.change for case in cases)
+    counts = Counter(change_of([case.rows[index] for index in view]) for case in cases)
+    first, last = (_name(pairing.sides[index].name) for index in (view[0], view[-1]))
     texts = {
-        "fixed": f"succeeded only {_name(names[-1])}",
-        "broken": f"succeeded only {_name(names[0])}",
+        "fixed": f"succeeded only {last}",
+        "broken": f"succeeded only {first}",
         "both failed": "failed in both",
         "failed": "failed",
     }
@@ -162,7 +208,7 @@ def shortcuts(cases: Sequence[Case], names: Sequence[str]) -> list[tuple[str, st
 
 def _name(side: str) -> str:
     """A side's name inside a sentence: ``with DOS``, but ``on A``."""
-    return side if " " in side else f"on {side}"
+    return side if side in ARM_TITLES.values() else f"on {side}"
 
 
 def groups(cases: Sequence[Case], key: Callable[[Case], str], sides: int) -> list[dict[str, Any]]:
@@ -207,7 +253,7 @@ def coverage_rows(cases: Sequence[Case], side: int) -> list[dict[str, Any]]:
             "title": title,
             "n": len(part),
             "collisions": sum(c.rows[side].outcome is Outcome.COLLISION for c in part),
-            "cells": [_covered(coverage_of(part, side), time) for time in _LOOK_AHEAD],
+            "cells": held_cells(part, side),
         }
         for title, part in parts
     ]
@@ -241,7 +287,7 @@ def _group(name: str, cases: Sequence[Case], sides: int) -> dict[str, Any]:
                 ],
                 "success": f"{100.0 * count[Outcome.SUCCESS] / len(cases):.0f}",
                 "collision": f"{100.0 * count[Outcome.COLLISION] / len(cases):.0f}",
-                "cells": [_covered(coverage_of(cases, side), time) for time in _LOOK_AHEAD],
+                "cells": held_cells(cases, side),
             }
             for side, count in enumerate(counts)
         ],
@@ -268,11 +314,12 @@ def _cell(metric: Metric, rows: Sequence[Score], figure: float | None) -> dict[s
     }
 
 
-def _difference(metric: Metric, pairing: Pairing) -> list[str]:
+def _difference(metric: Metric, pairing: Pairing, view: View) -> list[str]:
     """Cells of what the sides differ by; none for one side, or where nothing is compared."""
-    if pairing.comparison is None or metric.name not in pairing.comparison.differences:
+    comparison = pairing.comparisons.get(view)
+    if comparison is None or metric.name not in comparison.differences:
         return []
-    figure = pairing.comparison.differences[metric.name]
+    figure = comparison.differences[metric.name]
     return [
         metric.shown(figure.difference, "+"),
         interval_text(metric, figure),

@@ -25,9 +25,9 @@ from markupsafe import Markup
 from dosplan import __version__
 from dosplan.report.html import findings
 from dosplan.report.html.cases import FASTER, MOST_EXAMINED, OUTCOME_WORDS, Case, examine
-from dosplan.report.html.figures import coverage_plot, histogram
+from dosplan.report.html.figures import coverage_plot, frontier_plot, histogram
 from dosplan.report.html.player import KINDS
-from dosplan.report.html.sides import Pairing
+from dosplan.report.html.sides import Pairing, View
 from dosplan.report.html.thumbnails import HEIGHT, WIDTH
 from dosplan.report.palette import (
     GOAL_COLOUR,
@@ -37,6 +37,9 @@ from dosplan.report.palette import (
     SIGN_RED,
     SIGN_YELLOW,
 )
+from dosplan.results.table import Table
+from dosplan.results.table_text import block_cells
+from dosplan.results.table_text import notes as table_notes
 from dosplan.results.unusable import unusable_title
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Metric
@@ -45,6 +48,7 @@ from dosplan.types import FloatArray, place_of
 MOST_BYTES: Final = 4_900_000
 """A page is no larger; episodes for which there is no room are listed, but not played."""
 
+_HELD: Final = ("sets held, 1 s", "2 s", "3 s")  # Columns of ``findings.held_cells``.
 _SCRIPTS: Final = ("codec.js", "draw.js", "player.js", "table.js", "main.js")
 _POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{}'; img-src data:; "
@@ -103,7 +107,9 @@ def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
     return {
         "title": pairing.title,
         "names": names,
-        "paired": pairing.comparison is not None,
+        "views": [_view(pairing, cases, view) for view in pairing.views],
+        "overview": None if pairing.table is None else _overview(pairing, pairing.table, cases),
+        "paired": bool(pairing.comparisons),
         "n": len({case.driven.scenario for case in cases}),
         "futures": pairing.futures,
         "unusable": pairing.unusable,
@@ -111,17 +117,65 @@ def _section(pairing: Pairing, cases: Sequence[Case]) -> dict[str, Any]:
             pairing.unusable,
             len({case.driven.scenario for case in cases}) + len(pairing.unusable),
         ),
-        "answer": findings.answer(pairing),
-        "grounds": findings.grounds(pairing),
-        "shortcuts": findings.shortcuts(cases, names),
+        "held": findings.held(cases, names),
         "places": len({place_of(case.driven.scenario) for case in cases}),
         "headline": findings.headline(pairing, cases),
         "groups": group_tables(cases, len(names)),
-        "coverage": [
-            (names[side], rows) for side in sides if (rows := findings.coverage_rows(cases, side))
-        ],
+        "coverage": {side: rows for side in sides if (rows := findings.coverage_rows(cases, side))},
         "coverage_plot": Markup(coverage_plot(coverages)) if any(coverages.values()) else None,  # noqa: S704
         "plots": _plots(pairing, cases),
+    }
+
+
+def _view(pairing: Pairing, cases: Sequence[Case], view: View) -> dict[str, Any]:
+    """What the template shows of two sides, or of the only one."""
+    names = [pairing.sides[index].name for index in view]
+    return {
+        "sides": view,
+        "key": "-".join(map(str, view)),
+        "first": names[0],
+        "last": names[-1],
+        "answer": findings.answer(pairing, view),
+        "grounds": findings.grounds(pairing, view),
+        "shortcuts": findings.shortcuts(pairing, cases, view),
+    }
+
+
+def _overview(pairing: Pairing, table: Table, cases: Sequence[Case]) -> dict[str, Any]:
+    """What the template shows of all arms that drove the same."""
+    (block,) = table.blocks
+    index = {side.spec: number for number, side in enumerate(pairing.sides)}
+    held = {spec: findings.held_cells(cases, side) for spec, side in index.items()}
+    figures, *differences = block_cells(table, block)
+    if any(cell != "-" for cells in held.values() for cell in cells):
+        headings, lines = figures
+        lines = [
+            [*cells, *held.get(row.spec, ["-"] * len(_HELD))]
+            for row, cells in zip(block.rows, lines, strict=True)
+        ]
+        figures = ([*headings, *_HELD], lines)
+    compared = [row for row in block.rows if row.differences]
+    notes = table_notes(table)
+    if len(index) < len(block.rows):
+        notes.append(
+            f"{len(index)} arms, those with a colour, can be compared and watched below; to see "
+            "others so, name fewer runs, or arms of them (RUN:with_dos)."
+        )
+    return {
+        "tables": [
+            {
+                "headings": headings,
+                "rows": [
+                    {"side": index.get(row.spec), "cells": cells}
+                    for row, cells in zip(rows, lines, strict=True)
+                ],
+            }
+            for (headings, lines), rows in zip(
+                (figures, *differences), (block.rows, compared), strict=False
+            )
+        ],
+        "notes": notes,
+        "plot": Markup(frontier_plot(table, index)),  # noqa: S704 - drawn by matplotlib
     }
 
 
@@ -197,6 +251,7 @@ def _data(examined: Sequence[tuple[Pairing, Sequence[Case]]], room: int) -> str:
         "sections": [
             {
                 "names": [side.name for side in pairing.sides],
+                "views": pairing.views,
                 "cases": [_row(case, pairing.futures > 1) for case in cases],
             }
             for pairing, cases in examined
@@ -218,7 +273,6 @@ def _row(case: Case, several: bool) -> dict[str, Any]:
         "future": case.driven.future if several else None,
         "family": case.family,
         "road": case.kind,
-        "change": case.change,
         "thumb": case.thumbnail,
         "sides": [
             {

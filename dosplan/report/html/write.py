@@ -1,22 +1,25 @@
-"""Writes the page of a run, and that of a comparison of two."""
+"""Writes the page of a run, that of several, and that of a comparison of two."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
 
+from dosplan.report.html.figures import MOST_SIDES
 from dosplan.report.html.page import build_page
 from dosplan.report.html.scenarios import find_scenes
-from dosplan.report.html.sides import Pairing, Side
-from dosplan.results.comparison import compare_rows, paired_sides
+from dosplan.report.html.sides import Pairing, Side, View
+from dosplan.results.comparison import CompareError, Comparison, compare_rows, paired_sides
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest, read_manifest
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE, unranked_reason
 from dosplan.results.rows import read_run
+from dosplan.results.table import COLUMNS, Entry, Table, by_driven, make_block, read_entries
 from dosplan.results.unusable import unusable_scenarios
 from dosplan.scenario.sources.catalogue import source_text
 from dosplan.system.files import write_text
@@ -58,6 +61,66 @@ def write_report(run: Path, out: Path | None = None, source: str | None = None) 
     return path
 
 
+def write_runs(specs: Sequence[str], out: Path, source: str | None = None) -> Path:
+    """Writes the page of several runs: all of their arms, any two of which can be compared.
+
+    Args:
+        specs: Run folders, arms of them and folders of sweeps, as for
+            ``dosplan.results.table.make_table``.
+        out: The file.
+        source: Where the scenarios are now; where each run found them if None.
+
+    Returns:
+        The file.
+
+    Raises:
+        CompareError: A run does not hold an arm, or none is finished.
+        FileError: A run cannot be read, or the file cannot be written.
+    """
+    entries, missing = read_entries(specs)
+    if not entries:
+        raise CompareError(f"no run of {', '.join(specs)} is finished")
+    called = _short_names(dict.fromkeys(entry.name for entry in entries))
+    entries = [replace(entry, name=called[entry.name]) for entry in entries]
+    pairings = []
+    for members in by_driven(entries):
+        block = make_block(members)
+        shown = sorted(members, key=lambda entry: _place(entry, members, block.baseline))
+        sides = tuple(_side(entry) for entry in shown[:MOST_SIDES])
+        table = Table(COLUMNS, (block,), missing)
+        pairings.append(_pairing(block.title, sides, shown[0].manifest, source, table))
+    runs = {entry.name: entry for entry in entries}
+    facts = {f"Run {name}": _listed(entry.manifest) for name, entry in runs.items()}
+    reports = {name: RunFolder(entry.side.path).report for name, entry in runs.items()}
+    links = {
+        f"Report of {name}": _address(page, out) for name, page in reports.items() if page.is_file()
+    }
+    title = f"{len(runs)} run{'s' if len(runs) > 1 else ''}: {', '.join(runs)}"
+    lead = _lead({entry.side.arm for entry in entries})
+    write_text(out, build_page(title, facts, pairings, links, lead))
+    return out
+
+
+def _short_names(names: Iterable[str]) -> dict[str, str]:
+    """What a page calls runs: the folder's own name where that is no other's."""
+    ends = {name: Path(name).name for name in names}
+    found = list(ends.values())
+    return {name: end if end and found.count(end) == 1 else name for name, end in ends.items()}
+
+
+def _place(entry: Entry, among: Sequence[Entry], baseline: str | None) -> tuple[bool, int, int]:
+    """The baseline is first, then each run's arms beside each other, in the order of the runs."""
+    runs = [other.name for other in among]
+    arm = ARMS_SIDE_BY_SIDE.index(entry.side.arm)
+    return entry.spec != baseline, runs.index(entry.name), arm
+
+
+def _side(entry: Entry) -> Side:
+    side = entry.side
+    name = f"{entry.name} {ARM_TITLES[side.arm]}"
+    return Side(name, RunFolder(side.path), _by_future(side.rows), side.arm, entry.spec)
+
+
 def write_comparison(specs: Sequence[str], out: Path) -> Path:
     """Writes the page that compares two runs, or the arms of one.
 
@@ -83,8 +146,7 @@ def write_comparison(specs: Sequence[str], out: Path) -> Path:
         title = ", ".join(f"{side.name}: {ARM_TITLES[side.arm]}" for side in sides)
         pairings.append(_pairing(title, sides, manifests[0], None))
         for side, manifest in zip(sides, manifests, strict=True):
-            listed = ", ".join(_facts(manifest).values())
-            facts[f"Run {side.name}"] = f"{side.folder.path}: {listed}"
+            facts[f"Run {side.name}"] = f"{side.folder.path}: {_listed(manifest)}"
             if side.folder.report.is_file():
                 links[f"Report of run {side.name}"] = _address(side.folder.report, out)
     lead = _lead({side.arm for pair in pairs for side in pair})
@@ -102,25 +164,34 @@ def _lead(arms: Container[Arm]) -> str:
 
 
 def _pairing(
-    title: str, sides: tuple[Side, ...], manifest: RunManifest, source: str | None
+    title: str,
+    sides: tuple[Side, ...],
+    manifest: RunManifest,
+    source: str | None,
+    table: Table | None = None,
 ) -> Pairing:
-    comparison = None
-    if len(sides) > 1:
-        a, b = sides
-        comparison = compare_rows([*a.rows.values()], [*b.rows.values()], a.name, b.name)
+    comparisons: dict[View, Comparison] = {
+        (i, j): compare_rows([*a.rows.values()], [*b.rows.values()], a.name, b.name)
+        for (i, a), (j, b) in combinations(enumerate(sides), 2)
+    }
     unusable = unusable_scenarios(row for side in sides for row in side.rows.values())
     left_out = {one.scenario for one in unusable}
     usable = [driven for driven in sides[0].rows if driven.scenario not in left_out]
     return Pairing(
         title=title,
         sides=tuple(replace(side, rows={s: side.rows[s] for s in usable}) for side in sides),
-        comparison=comparison,
+        comparisons=comparisons,
         driven=tuple(usable),
         unusable=unusable,
         scenes=find_scenes(
             manifest.config.source if source is None else source, cached=manifest.config.cache
         ),
+        table=table,
     )
+
+
+def _listed(manifest: RunManifest) -> str:
+    return ", ".join(f"{name.lower()} {value}" for name, value in _facts(manifest).items())
 
 
 def _facts(manifest: RunManifest) -> dict[str, str]:

@@ -298,12 +298,11 @@ function drawBar(context, size, view, palette) {
   context.fillText(`${metres} m`, 14, size.height - 20);
 }
 
-function drawSpeeds(context, size, episode, step, palette, span) {
+function drawSpeeds(context, size, episode, listed, step, palette, span) {
   const ratio = size.ratio;
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.clearRect(0, 0, size.width, size.height);
-  const sides = episode.sides.filter(Boolean);
-  const fastest = Math.max(5, ...sides.flatMap((side) => side.v));
+  const fastest = Math.max(5, ...listed.flatMap((side) => side.v));
   const left = 26;
   const x = (at) => left + ((at - episode.first) / Math.max(span, 1)) * (size.width - left - 4);
   const y = (v) => size.height - 16 - (v / fastest) * (size.height - 26);
@@ -319,7 +318,7 @@ function drawSpeeds(context, size, episode, step, palette, span) {
   }
   context.fillText("velocity, m/s", left, size.height - 3);
   episode.sides.forEach((side, index) => {
-    if (!side) return;
+    if (!listed.includes(side)) return;
     context.beginPath();
     trace(context, side.v.map((v, i) => [x(side.start + i), y(v)]));
     context.strokeStyle = palette.sides[index];

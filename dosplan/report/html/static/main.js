@@ -2,8 +2,10 @@
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const player = makePlayer(document.getElementById("player"), data);
-document.querySelectorAll(".section").forEach((root, index) => {
-  makeTable(root, data.sections[index], data, player.open);
+const sections = [...document.querySelectorAll(".section")].map((root, index) => {
+  const section = data.sections[index];
+  section.view = section.views[0]; // Which sides are looked at.
+  return { ...section, ...makeSection(root, section, data, player.open) };
 });
 
 const root = document.documentElement;
@@ -21,12 +23,12 @@ document.getElementById("theme").addEventListener("click", () => {
 // A link to an episode: report.html#SCENARIO, or #SCENARIO, future K.
 function openLinked() {
   const wanted = decodeURIComponent(location.hash.slice(1));
-  for (const section of data.sections) {
+  for (const section of sections) {
     const played = (test) => section.cases.findIndex((row) => row.episode && test(row));
     const named = played((row) => nameOf(row) === wanted);
     const index = named >= 0 ? named : played((row) => row.id === wanted);
     if (index >= 0) {
-      player.open(section.cases, index, section.names);
+      section.play(section.cases[index], section.cases);
       return;
     }
   }

@@ -11,22 +11,31 @@ function makePlayer(dialog, data) {
   const rate = find("select.rate");
   const play = find("[data-do=play]");
   const state = {
-    list: [], index: -1, names: [], episode: null, time: 0, playing: false, view: null,
-    layers: { sets: true, plan: true, path: true, rules: true, follow: false, sides: [true, true] },
+    list: [], index: -1, section: null, view: [], episode: null, time: 0, playing: false, camera: null,
+    layers: { sets: true, plan: true, path: true, rules: true, follow: false, sides: [] },
     asked: 0, frame: 0,
   };
 
-  const end = () => Math.max(...state.episode.sides.filter(Boolean).map((s) => s.start + s.x.length - 1));
+  // The sides that are looked at, and others that were switched on; all, where there is none of them.
+  function listed() {
+    const there = state.episode.sides.filter((side, i) => side && (state.view.includes(i) || state.layers.sides[i]));
+    return there.length ? there : state.episode.sides.filter(Boolean);
+  }
+
+  const end = () => Math.max(...listed().map((s) => s.start + s.x.length - 1));
   const step = () => state.episode.first + state.time / state.episode.dt;
   const duration = () => (end() - state.episode.first) * state.episode.dt;
 
-  async function open(list, index, names) {
+  async function open(list, index, section) {
     const asked = (state.asked += 1);
     const row = list[index];
     const episode = await unpack(row.episode);
     if (asked !== state.asked) return; // Another one was asked for meanwhile.
     episode.sides.forEach((side, i) => side && (side.outcome = row.sides[i].outcome));
-    Object.assign(state, { list, index, names, episode, time: 0 });
+    if (state.section !== section || state.view !== section.view) {
+      state.layers.sides = section.names.map((_, i) => section.view.includes(i));
+    }
+    Object.assign(state, { list, index, section, view: section.view, episode, time: 0 });
     describe(row);
     if (!dialog.open) dialog.showModal();
     canvas.focus({ preventScroll: true });
@@ -40,13 +49,14 @@ function makePlayer(dialog, data) {
   function describe(row) {
     find(".top h2").textContent = nameOf(row);
     const gone = state.episode.hasScene ? "" : " · drawn without the map: its scenario file is gone, or not the one that was driven";
-    find(".tags").textContent = `${row.road} · ${row.family} · ${changeWords(row, state.names)}${gone}`;
+    find(".tags").textContent = `${row.road} · ${row.family} · ${changeWords(row, state.section)}${gone}`;
     find(".sides").replaceChildren(...row.sides.map((side, index) => {
-      const box = element("div", { className: `side side-${index}` });
+      const box = element("div", { className: "side" });
+      box.style.setProperty("--side", `var(--side-${index})`);
       const now = element("span", { className: "now" });
       const about = [side.why, side.velocity === null ? "" : `mean ${side.velocity.toFixed(1)} m/s`];
       box.append(
-        now, element("b", { textContent: state.names[index] }), " ",
+        now, element("b", { textContent: state.section.names[index] }), " ",
         outcomeBadge(side, data), element("p", { textContent: about.filter(Boolean).join(" · ") }),
       );
       return box;
@@ -61,19 +71,27 @@ function makePlayer(dialog, data) {
       item.prepend(key);
       return item;
     }), ...ruleKeys());
+    const ahead = state.episode.predictions.flatMap((block) => block.offsets);
+    find(".horizon").textContent = ahead.length
+      ? `${(Math.min(...ahead) * state.episode.dt).toFixed(1)} to ${(Math.max(...ahead) * state.episode.dt).toFixed(1)} s ahead` : "none";
+    listSides();
+  }
+
+  // Boxes and marks of the sides that are looked at or switched on.
+  function listSides() {
+    const there = listed();
+    dialog.querySelectorAll(".side").forEach((box, i) => { box.hidden = !state.view.includes(i) && !state.layers.sides[i]; });
+    state.time = Math.min(state.time, duration());
     range.max = duration();
     const total = Math.max(duration(), 1e-6);
     find(".marks").replaceChildren(...state.episode.sides.flatMap((side, index) => {
-      if (!side) return [];
+      if (!there.includes(side)) return [];
       const mark = element("i");
       const at = (side.start + side.moment - state.episode.first) * state.episode.dt;
       mark.style.left = `${(100 * at) / total}%`;
       mark.style.background = `var(--side-${index})`;
       return [mark];
     }));
-    const ahead = state.episode.predictions.flatMap((block) => block.offsets);
-    find(".horizon").textContent = ahead.length
-      ? `${(Math.min(...ahead) * state.episode.dt).toFixed(1)} to ${(Math.max(...ahead) * state.episode.dt).toFixed(1)} s ahead` : "none";
   }
 
   // Keys of what is there: the lights, and the unit of the numbers on signs.
@@ -103,9 +121,15 @@ function makePlayer(dialog, data) {
       state.layers[key] = on;
       if (key === "follow") frameView();
     }));
-    const sides = state.names.map((name, index) => checkbox(name, state.layers.sides[index], (on) => {
-      state.layers.sides[index] = on;
-    }));
+    const sides = state.section.names.map((name, index) => {
+      const label = checkbox(name, state.layers.sides[index], (on) => {
+        state.layers.sides[index] = on;
+        listSides();
+      });
+      label.classList.add("of");
+      label.querySelector("input").after(sideKey(index));
+      return label;
+    });
     const legend = find(".layers legend");
     find(".layers").replaceChildren(legend, ...(sides.length > 1 ? sides : []), ...boxes);
   }
@@ -119,7 +143,7 @@ function makePlayer(dialog, data) {
   }
 
   function extent(axis) {
-    const values = state.episode.sides.filter(Boolean).flatMap((side) => side[axis]);
+    const values = listed().flatMap((side) => side[axis]);
     return [Math.min(...values), Math.max(...values)];
   }
 
@@ -133,12 +157,12 @@ function makePlayer(dialog, data) {
   function frameView() {
     const near = sizeOf(canvas).width / NEAR;
     const [x, y] = ["x", "y"].map((axis) => (extent(axis)[0] + extent(axis)[1]) / 2);
-    state.view = { scale: state.layers.follow ? near : Math.min(wholeScale(), near), x, y };
+    state.camera = { scale: state.layers.follow ? near : Math.min(wholeScale(), near), x, y };
     draw();
   }
 
   function zoom(factor) {
-    state.view.scale = Math.min(Math.max(state.view.scale * factor, 0.8), 60);
+    state.camera.scale = Math.min(Math.max(state.camera.scale * factor, 0.8), 60);
     draw();
   }
 
@@ -149,7 +173,7 @@ function makePlayer(dialog, data) {
     return {
       land: get("land"), road: get("road"), offRoad: get("off-road"), marking: get("marking"), paint: get("paint"), kerb: get("kerb"), ink: get("ink"), line: get("line"),
       faint: get("faint"), paper: get("paper"), goal: data.goal, lamps: data.lamps, signs: data.signs,
-      sides: [get("side-0"), get("side-1")], kinds: data.kinds.map(([, colour]) => colour),
+      sides: state.section.names.map((_, side) => get(`side-${side}`)), kinds: data.kinds.map(([, colour]) => colour),
       near: rgb("near"), middle: rgb("middle"), far: rgb("far"),
       outcomes: Object.fromEntries(Object.keys(data.outcomes).map((name) => [name, get(name)])),
     };
@@ -161,15 +185,15 @@ function makePlayer(dialog, data) {
     const now = step();
     if (state.layers.follow) {
       const shown = state.episode.sides.filter((side, i) => side && state.layers.sides[i]);
-      const there = shown.length ? shown : state.episode.sides.filter(Boolean);
+      const there = shown.length ? shown : listed();
       // Who has been at its end for a second is left behind.
       const followed = there.filter((side) => now <= side.start + side.x.length - 1 + 1 / state.episode.dt);
       const poses = (followed.length ? followed : there).map((side) => poseAt(side, now, side.start));
-      [state.view.x, state.view.y] = [0, 1].map((axis) => poses.reduce((sum, pose) => sum + pose[axis], 0) / poses.length);
+      [state.camera.x, state.camera.y] = [0, 1].map((axis) => poses.reduce((sum, pose) => sum + pose[axis], 0) / poses.length);
     }
     const size = sizeOf(canvas);
-    drawScene(canvas.getContext("2d"), size, state.view, state.episode, now, state.layers, colours);
-    drawSpeeds(speeds.getContext("2d"), sizeOf(speeds), state.episode, now, colours, end() - state.episode.first);
+    drawScene(canvas.getContext("2d"), size, state.camera, state.episode, now, state.layers, colours);
+    drawSpeeds(speeds.getContext("2d"), sizeOf(speeds), state.episode, listed(), now, colours, end() - state.episode.first);
     drawRamp(colours);
     range.value = state.time;
     find(".clock").textContent = `${state.time.toFixed(1)} of ${duration().toFixed(1)} s`;
@@ -221,7 +245,7 @@ function makePlayer(dialog, data) {
 
   function move(by) {
     for (let i = state.index + by; i >= 0 && i < state.list.length; i += by) {
-      if (state.list[i].episode) { open(state.list, i, state.names); return; }
+      if (state.list[i].episode) { open(state.list, i, state.section); return; }
     }
   }
 
@@ -267,8 +291,8 @@ function makePlayer(dialog, data) {
   }, { passive: false });
   canvas.addEventListener("pointermove", (event) => {
     if (!(event.buttons & 1) || state.layers.follow) return;
-    state.view.x -= event.movementX / state.view.scale;
-    state.view.y += event.movementY / state.view.scale;
+    state.camera.x -= event.movementX / state.camera.scale;
+    state.camera.y += event.movementY / state.camera.scale;
     draw();
   });
   new ResizeObserver(draw).observe(canvas);

@@ -85,17 +85,20 @@ def write_runs(specs: Sequence[str], out: Path, source: str | None = None) -> Pa
     pairings = []
     for members in by_driven(entries):
         block = make_block(members)
-        shown = sorted(members, key=lambda entry: _place(entry, members, block.baseline))
-        sides = tuple(_side(entry) for entry in shown[:MOST_SIDES])
+        ordered = sorted(members, key=lambda entry: _place(entry, members, block.baseline))
+        sides = tuple(_side(entry) for entry in ordered[:MOST_SIDES])
         table = Table(COLUMNS, (block,), missing)
-        pairings.append(_pairing(block.title, sides, shown[0].manifest, source, table))
+        pairings.append(_pairing(block.title, sides, ordered[0].manifest, source, table))
     runs = {entry.name: entry for entry in entries}
-    facts = {f"Run {name}": _listed(entry.manifest) for name, entry in runs.items()}
-    reports = {name: RunFolder(entry.side.path).report for name, entry in runs.items()}
+    shown = [*runs.values()][:MOST_SIDES]
+    more = f" and {len(runs) - len(shown)} more" if len(runs) > len(shown) else ""
+    facts = {f"Run {entry.name}": _listed(entry.manifest) for entry in shown}
+    reports = {entry.name: RunFolder(entry.side.path).report for entry in shown}
     links = {
         f"Report of {name}": _address(page, out) for name, page in reports.items() if page.is_file()
     }
-    title = f"{len(runs)} run{'s' if len(runs) > 1 else ''}: {', '.join(runs)}"
+    names = ", ".join(entry.name for entry in shown)
+    title = f"{len(runs)} run{'s' if len(runs) > 1 else ''}: {names}{more}"
     lead = _lead({entry.side.arm for entry in entries})
     write_text(out, build_page(title, facts, pairings, links, lead))
     return out

@@ -8,15 +8,17 @@ another one.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import CancelledError
+from concurrent.futures import CancelledError, Future
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import islice
+from queue import SimpleQueue
 from threading import Lock
 from typing import Any, Final, TypeVar
 
@@ -41,7 +43,6 @@ from dosplan.system.workers import WORKER_ENVIRONMENT
 try:
     import dask
     import distributed
-    from distributed import as_completed
     from distributed.client import ClosedClientError
     from distributed.scheduler import KilledWorker
 except ImportError as error:
@@ -136,21 +137,26 @@ class _Cluster:
     ) -> Generator[tuple[_Item, _Result], None, None]:
         """Each item with its result, or with ``lost`` of it where its Dask workers died."""
         source = iter(items)
-        pending: dict[str, _Item] = {}
-        results: Any = as_completed(loop=self.client.loop)  # type: ignore[no-untyped-call]
+        pending: dict[Future[Any], _Item] = {}
+        ended: SimpleQueue[Future[Any]] = SimpleQueue()
 
         def hand_out(count: int) -> None:
             for item in islice(source, count):
-                future = submit(item)
-                pending[future.key] = item
-                results.add(future)
+                # Each is fetched by itself: the scheduler tries for half a minute to fetch what a
+                # worker has driven that is dead by now, and nobody else is to wait for that.
+                fetched = asyncio.run_coroutine_threadsafe(
+                    _result(submit(item)), self.client.loop.asyncio_loop
+                )
+                pending[fetched] = item
+                fetched.add_done_callback(ended.put)
 
         try:
             hand_out(_WINDOW)
-            for future in results:
-                item = pending.pop(future.key)
+            while pending:
+                fetched = ended.get()
+                item = pending.pop(fetched)
                 hand_out(1)
-                died, result = _result(future)
+                died, result = fetched.result()
                 yield item, lost(item) if died else result
         except (OSError, CancelledError, ClosedClientError) as error:
             raise RunError(
@@ -163,18 +169,18 @@ def _absolute(ref: ScenarioRef) -> ScenarioRef:
     return replace(ref, path=ref.path.absolute())
 
 
-def _result(future: Any) -> tuple[bool, Any]:
+async def _result(future: Any) -> tuple[bool, Any]:
     """Whether every worker that took up a task died, and its result otherwise."""
-    if future.cancelled():  # Only a client that has lost its scheduler cancels.
-        raise CancelledError
-    error = future.exception()
-    if error is None:
-        return False, future.result()
-    if isinstance(error, KilledWorker):
-        return True, None
-    if isinstance(error, RunError):
-        raise error
-    raise RunError(f"a Dask worker cannot drive episodes: {one_line(error)}") from error
+    try:
+        return False, await future
+    except Exception as error:
+        if future.status != "error":  # It is not the task that failed, but the scheduler is lost.
+            raise
+        if isinstance(error, KilledWorker):
+            return True, None
+        if isinstance(error, RunError):
+            raise
+        raise RunError(f"a Dask worker cannot drive episodes: {one_line(error)}") from error
 
 
 class _Run:

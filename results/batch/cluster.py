@@ -37,7 +37,7 @@ from dosplan.types import Arm, FloatArray, Outcome
 HERE: Final = Path(__file__).parent
 RUNS: Final = 5
 """Runs of the sweep, which differ in their seed."""
-CHANGES: Final = 16
+CHANGES: Final = 10
 """How often a worker joins and the oldest one is killed."""
 _LOOK_EVERY: Final = 1.0  # s
 _SETTLED: Final = 0.4
@@ -140,18 +140,24 @@ class _Rows:
     """Counts the rows of runs as they are written; only what is new is read."""
 
     def __init__(self, runs: Sequence[RunFolder]) -> None:
-        self._sizes = {run.rows: 0 for run in runs}
-        self._count = 0
+        self._runs = runs
+        self._read: dict[Path, tuple[int, int, int]] = {}
 
     def count(self) -> int:
-        for path, size in self._sizes.items():
-            if path.exists() and path.stat().st_size > size:
-                with path.open("rb") as file:
+        for path in (run.rows for run in self._runs):
+            if not path.exists():
+                continue
+            with path.open("rb") as file:
+                found = os.fstat(file.fileno())
+                number, size, lines = self._read.get(path, (0, 0, 0))
+                if found.st_ino != number:  # It was put in order and written anew.
+                    size = lines = 0
+                if found.st_size > size:
                     file.seek(size)
                     new = file.read()
-                self._sizes[path] = size + len(new)
-                self._count += new.count(b"\n")
-        return self._count
+                    size, lines = size + len(new), lines + new.count(b"\n")
+                self._read[path] = (found.st_ino, size, lines)
+        return sum(lines for *_, lines in self._read.values())
 
 
 def measure(episodes: int, place: Path) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import multiprocessing
 import os
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,8 @@ from typing import Any
 import pytest
 
 pytest.importorskip("distributed", reason="Dask is an optional dependency")
+
+from distributed.utils_comm import gather_from_workers as fetch
 
 from dosplan import __version__
 from dosplan.cli.main import main
@@ -131,7 +135,34 @@ def test_the_death_of_half_of_the_workers_loses_nothing(
     _, complaint = process.communicate(timeout=300.0)
     assert process.returncode == 0, complaint
     assert untimed(out) == undisturbed
-    assert [line for line in complaint.splitlines() if "episodes" not in line] == []
+    assert [x for x in complaint.splitlines() if "episodes" not in x and x[:2] != "  "] == []
+
+
+def test_nobody_waits_for_a_result_that_its_dead_worker_holds(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scheduler of a local cluster is in this process: here it gets the first one last."""
+    others_are_there = asyncio.Event()
+    fetched = []
+
+    async def gather_from_workers(*arguments: Any, **options: Any) -> Any:
+        fetched.append(arguments)
+        if len(fetched) == 1:
+            with suppress(TimeoutError):
+                await asyncio.wait_for(others_are_there.wait(), 60.0)
+        return await fetch(*arguments, **options)
+
+    tasks = [Task(ref, Arm.WITH_DOS) for ref in find_scenarios(scenes)[:3]]
+    config = configured(tmp_path, scenes, "SlowPlanner")
+    with cluster.kept_cluster("local:1") as address:
+        monkeypatch.setattr("distributed.scheduler.gather_from_workers", gather_from_workers)
+        with cluster.DaskExecutor(address).start(config) as workers:
+            results = workers.drive(tasks)
+            others = [next(results)[0] for _ in tasks[1:]]
+            workers.client.loop.add_callback(others_are_there.set)  # type: ignore[attr-defined]
+            last = [task for task, _ in results]
+    assert others == tasks[1:]
+    assert last == tasks[:1]
 
 
 @pytest.mark.slow

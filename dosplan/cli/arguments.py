@@ -201,9 +201,12 @@ def show(parts: Sequence[RenderableType], figures: Any, json_path: Path | None) 
         if json_path == STDOUT:
             sys.stdout.write(json_text(figures))
         else:
+            from dosplan.report.tables import Prose
+
             out = console()
             for part in parts:
-                out.print(part, highlight=False, markup=False)
+                told = Prose(part) if isinstance(part, str) else part
+                out.print(told, highlight=False, markup=False)
         sys.stdout.flush()
     except OSError as error:
         # What could not be written is still buffered, and leaving would try to write it again.

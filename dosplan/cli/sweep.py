@@ -144,6 +144,7 @@ def _chosen(runs: Sequence[SweepRun], patterns: Sequence[str] | None) -> list[Sw
 def _drive(parts: Sequence[SweepPart], options: argparse.Namespace) -> None:
     """Drives what is missing, run by run."""
     from dosplan.report.progress import show_run
+    from dosplan.results.markdown import folded
     from dosplan.running.run import run
     from dosplan.running.sweep import one_executor
 
@@ -157,7 +158,7 @@ def _drive(parts: Sequence[SweepPart], options: argparse.Namespace) -> None:
                     seconds = (left - driven) / driven * (time.monotonic() - began)
                     line += f" ({left - driven} episodes left of the sweep, about "
                     line += f"{timedelta(seconds=round(seconds))})"
-                err.print(line, highlight=False, soft_wrap=True, markup=False)
+                err.print(folded(line, indent="  "), highlight=False, soft_wrap=True, markup=False)
             with show_run(err, quiet=options.quiet) as observer:
                 run(part.config, observer, executor)
             driven += part.left

@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from dosplan.report.tables import table
-from dosplan.results.markdown import ARM_TITLES
+from dosplan.results.markdown import ARM_TITLES, folded
 from dosplan.results.unusable import Unusable, unusable_lines
 from dosplan.running.progress import Observer
 from dosplan.types import Arm, Outcome, Score
@@ -231,6 +231,7 @@ class _LineObserver(Observer):
     def _write(self) -> None:
         arms = [f"; {ARM_TITLES[arm]}: {self._arm(arm)}" for arm in self._tally.episodes]
         line = _head(self._tally) + ("".join(arms) if self._tally.done else "")
+        line = folded(line, indent="  ")
         self._console.print(line, highlight=False, soft_wrap=True)
         self._written = self._clock()
 

@@ -6,24 +6,28 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from rich import box
-from rich.console import Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.table import Table
 from rich.text import Text
 
 from dosplan.results.comparison import Comparison
 from dosplan.results.markdown import (
+    LINE,
+    Cells,
     change_cells,
     comparison_cells,
     comparison_note,
     comparison_title,
     difference_lines,
+    folded,
+    parted,
     scenario_count,
     summary_cells,
     summary_title,
 )
 from dosplan.results.summary import Summary
 from dosplan.results.table import Table as RunTable
-from dosplan.results.table_text import block_cells, notes
+from dosplan.results.table_text import block_cells, name_count, notes
 from dosplan.results.unusable import unusable_lines
 from dosplan.types import Outcome, Score
 
@@ -41,9 +45,8 @@ def summary_tables(summary: Summary) -> RenderableType:
         and what is unusable.
     """
     tables = [table(*cells) for cells in summary_cells(summary)]
-    told = unusable_lines(summary.unusable, scenario_count(summary))
-    lines = map(Text, told)  # Reasons may hold what rich takes for markup.
-    return Group(summary_title(summary), *tables, *difference_lines(summary), *lines)
+    lines = [*difference_lines(summary), *unusable_lines(summary.unusable, scenario_count(summary))]
+    return Group(Prose(summary_title(summary)), *tables, *map(Prose, lines))
 
 
 def error_lines(rows: Iterable[Score]) -> list[str]:
@@ -79,13 +82,13 @@ def comparison_tables(comparison: Comparison) -> RenderableType:
     Returns:
         The differences, then the scenarios whose outcome differs.
     """
-    changed: RenderableType = "No outcome differs."
+    changed: RenderableType = Prose("No outcome differs.")
     if comparison.changes:
         changed = table(*change_cells(comparison), numbers=False)
     return Group(
-        comparison_title(comparison),
-        table(*comparison_cells(comparison)),
-        comparison_note(comparison),
+        Prose(comparison_title(comparison)),
+        *(table(*cells) for cells in comparison_cells(comparison)),
+        Prose(comparison_note(comparison)),
         changed,
     )
 
@@ -101,22 +104,61 @@ def run_tables(found: RunTable) -> list[RenderableType]:
     """
     parts: list[RenderableType] = []
     for block in found.blocks:
-        parts += [block.title, *(table(*cells) for cells in block_cells(found, block))]
-    return [*parts, *notes(found)]
+        names = name_count(block)
+        parts.append(Prose(block.title))
+        parts += [table(*cells, names=names) for cells in block_cells(found, block)]
+    return [*parts, *map(Prose, notes(found))]
 
 
-def table(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True) -> Table:
+class Prose:
+    """Text in lines of at most ``LINE`` characters, whatever rich takes for markup in it."""
+
+    def __init__(self, text: str) -> None:
+        """Takes the text.
+
+        Args:
+            text: It; words longer than a line, such as paths, stay whole.
+        """
+        self._text = text
+
+    def __rich_console__(self, _: Console, options: ConsoleOptions) -> RenderResult:
+        yield Text(folded(self._text, min(options.max_width, LINE)))
+
+
+def table(
+    headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True, names: int = 1
+) -> RenderableType:
     """Builds a plain table, its first column to the left.
 
     Args:
         headings: Column headings.
         rows: Cells.
-        numbers: Whether the other columns hold numbers and go to the right.
+        numbers: Whether the other columns hold numbers and go to the right; it becomes several
+            tables then where a line of the terminal, or ``LINE``, is too short for all.
+        names: How many columns name the rows.
 
     Returns:
         The table.
     """
+    cells = (list(headings), [list(row) for row in rows])
+    return _Figures(cells, names) if numbers else _built(cells, numbers)
+
+
+class _Figures:
+    """Figures in as many tables as it takes for the lines not to be too long."""
+
+    def __init__(self, cells: Cells, names: int) -> None:
+        self._cells, self._names = cells, names
+
+    def __rich_console__(self, _: Console, options: ConsoleOptions) -> RenderResult:
+        width = min(options.max_width, LINE) - 1
+        for part in parted(self._cells, width, gap=3, names=self._names):
+            yield _built(part, numbers=True)
+
+
+def _built(cells: Cells, numbers: bool) -> Table:
     built = Table(box=box.SIMPLE_HEAD)
+    headings, rows = cells
     for index, heading in enumerate(headings):
         built.add_column(heading, justify="right" if numbers and index > 0 else "left")
     for row in rows:

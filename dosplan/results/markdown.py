@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from textwrap import TextWrapper
 from typing import Final
 
 from dosplan.results.comparison import Comparison
@@ -20,6 +21,58 @@ ARMS_SIDE_BY_SIDE: Final = (Arm.WITHOUT_DOS, Arm.WITH_DOS)
 Cells = tuple[list[str], list[list[str]]]
 """Headings, and rows of cells."""
 
+LINE: Final = 99
+"""Characters of a line on a terminal, at most."""
+
+
+def folded(text: str, width: int = LINE, indent: str = "") -> str:
+    """Breaks lines that are too long, between words: a path stays whole.
+
+    Args:
+        text: The text.
+        width: Characters of a line, at most.
+        indent: What a line begins with that continues another.
+
+    Returns:
+        The text with more lines.
+    """
+    fold = TextWrapper(
+        width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    ).fill
+    return "\n".join(map(fold, text.split("\n")))
+
+
+def parted(cells: Cells, width: int, gap: int, names: int = 1) -> list[Cells]:
+    """Parts a table that has no room in a line; each part has the columns that name the rows.
+
+    Args:
+        cells: The table.
+        width: Characters of a line, at most.
+        gap: How many of them a column takes beside its cells.
+        names: How many columns name the rows.
+
+    Returns:
+        Tables with some of the columns each; the table itself where the names alone leave no room
+        for one.
+    """
+    headings, rows = cells
+    widths = [max(map(len, column)) + gap for column in zip(headings, *rows, strict=True)]
+    room = width - sum(widths[:names])
+    if max(widths[names:], default=0) > room:
+        return [cells]
+    parts: list[list[int]] = [[]]
+    left = room
+    for column in range(names, len(widths)):
+        if widths[column] > left:
+            parts.append([])
+            left = room
+        parts[-1].append(column)
+        left -= widths[column]
+    columns = [[*range(names), *part] for part in parts]
+    return [
+        ([headings[c] for c in own], [[row[c] for c in own] for row in rows]) for own in columns
+    ]
+
 
 def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True) -> str:
     """Writes a table as Markdown, its first column to the left.
@@ -36,17 +89,23 @@ def markdown(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bo
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (headings, rule, *rows))
 
 
-def aligned(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True) -> str:
+def aligned(cells: Cells, numbers: bool = True, names: int = 1) -> str:
     """Writes a table as text in columns, its first column to the left.
 
     Args:
-        headings: Column headings.
-        rows: Cells.
+        cells: The table.
         numbers: Whether the other columns hold numbers and go to the right.
+        names: How many columns name the rows; they come again where the table is ``parted``.
 
     Returns:
         The table's lines.
     """
+    gap = 2
+    parts = parted(cells, LINE + gap, gap, names)
+    return "\n\n".join(_aligned(*part, numbers) for part in parts)
+
+
+def _aligned(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool) -> str:
     lines = (headings, *rows)
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     told = [
@@ -279,22 +338,42 @@ def comparison_title(comparison: Comparison) -> str:
     return title
 
 
-def comparison_cells(comparison: Comparison) -> Cells:
+def comparison_cells(comparison: Comparison) -> list[Cells]:
     """Lays the differences of a comparison out.
 
     Args:
         comparison: The comparison.
 
     Returns:
-        A row for each metric that has a difference.
+        A table with a row for each metric that has a difference, and one with what else there is
+        of shares.
     """
-    headings = ["", "n", "A", "B", "B - A", "95 % interval", "A only", "B only", "p", "p, places"]
     found = [
         (metric, comparison.differences[metric.name])
         for metric in metrics.METRICS
         if metric.name in comparison.differences
     ]
-    return headings, [_difference_row(*one) for one in found]
+    figures = [
+        [
+            metric.heading,
+            str(one.n),
+            metric.shown(one.a),
+            metric.shown(one.b),
+            metric.shown(one.difference, "+"),
+            interval_text(metric, one),
+            _p_text(one.p),
+        ]
+        for metric, one in found
+    ]
+    shares = [
+        [metric.heading, str(one.only_a), str(one.only_b), _p_text(one.p), _p_text(one.p_places)]
+        for metric, one in found
+        if one.only_a is not None
+    ]
+    return [
+        (["", "n", "A", "B", "B - A", "95 % interval", "p"], figures),
+        (["", "A only", "B only", "p", "p, places"], shares),
+    ]
 
 
 def change_cells(comparison: Comparison) -> Cells:
@@ -317,8 +396,8 @@ def comparison_note(comparison: Comparison) -> str:
     """Says how intervals and tests of a comparison are to be read, and what its pairs show."""
     note = (
         "Intervals take into account that several scenarios are of one place. p of a share: exact "
-        f"{test_name(comparison)} test over scenarios, and sign-flip test over places; of a mean: "
-        "t test over places."
+        f"{test_name(comparison)} test over scenarios, and below sign-flip test over places; of a "
+        "mean: t test over places."
     )
     return f"{note}\n{power_line(comparison)}"
 
@@ -334,24 +413,15 @@ def comparison_text(comparison: Comparison) -> str:
     """
     changed = "No outcome differs."
     if comparison.changes:
-        changed = aligned(*change_cells(comparison), numbers=False)
+        changed = aligned(change_cells(comparison), numbers=False)
     parts = (
         comparison_title(comparison),
-        aligned(*comparison_cells(comparison)),
-        comparison_note(comparison),
+        *map(aligned, comparison_cells(comparison)),
+        folded(comparison_note(comparison)),
         changed,
     )
     return "\n\n".join(parts)
 
 
-def _difference_row(metric: Metric, figure: Difference) -> list[str]:
-    return [
-        metric.heading,
-        str(figure.n),
-        metric.shown(figure.a),
-        metric.shown(figure.b),
-        metric.shown(figure.difference, "+"),
-        interval_text(metric, figure),
-        *("-" if count is None else str(count) for count in (figure.only_a, figure.only_b)),
-        *("-" if p is None else f"{p:.3g}" for p in (figure.p, figure.p_places)),
-    ]
+def _p_text(p: float | None) -> str:
+    return "-" if p is None else f"{p:.3g}"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-from dosplan.results.markdown import ARM_TITLES, Cells, aligned, markdown
+from dosplan.results.markdown import ARM_TITLES, Cells, aligned, folded, markdown
 from dosplan.results.paired import Difference
 from dosplan.results.table import Block, Figure, Row, Table
 from dosplan.scoring.metrics import Metric
@@ -40,8 +40,9 @@ def plain_table(table: Table) -> str:
     """
     parts = []
     for block in table.blocks:
-        parts += [block.title, *(aligned(*cells) for cells in block_cells(table, block))]
-    return "\n\n".join([*parts, *notes(table)])
+        parts.append(folded(block.title))
+        parts += [aligned(x, names=name_count(block)) for x in block_cells(table, block)]
+    return "\n\n".join([*parts, *map(folded, notes(table))])
 
 
 def latex_table(table: Table) -> str:
@@ -55,7 +56,7 @@ def latex_table(table: Table) -> str:
     """
     parts = []
     for block in table.blocks:
-        texts = 1 + len(_named(block))
+        texts = name_count(block)
         for headings, rows in block_cells(table, block):
             columns = "l" * texts + "r" * (len(headings) - texts)
             lines = [" & ".join(map(_latex, cells)) + r" \\" for cells in (headings, *rows)]
@@ -124,6 +125,18 @@ FORMATS: Final[Mapping[str, Callable[[Table], str]]] = MappingProxyType(
     {"markdown": markdown_table, "csv": csv_table, "latex": latex_table}
 )
 """How to write a table, by name."""
+
+
+def name_count(block: Block) -> int:
+    """How many columns of a block's tables name its rows.
+
+    Args:
+        block: A block of a table.
+
+    Returns:
+        The number.
+    """
+    return 1 + len(_named(block))
 
 
 def block_cells(table: Table, block: Block) -> list[Cells]:

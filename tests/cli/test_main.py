@@ -57,7 +57,7 @@ def _complaint(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
     assert code == cli.BAD_INPUT
     captured = capsys.readouterr()
     assert captured.out == ""
-    (line,) = captured.err.splitlines()
+    line, *_ = captured.err.splitlines()
     return line
 
 
@@ -126,7 +126,7 @@ def test_run_prints_the_table_of_a_finished_run(
     for heading in ("Success %", "Collision %", "Out of bounds %", "Velocity m/s", "Safe %"):
         assert heading in captured.out
     assert "Success, with DOS minus without: +0.0 points" in captured.out
-    (line,) = captured.err.splitlines()
+    line, *_ = captured.err.splitlines()
     assert line.startswith("4 of 4 episodes; with DOS: 2 of 2, success 50.0 %, collisions 0, ")
 
 

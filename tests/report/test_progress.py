@@ -55,7 +55,8 @@ def _lines(clock: Clock, seconds: float, episodes: int, left_over: int = 0) -> l
         for _ in range(episodes - left_over):
             clock.seconds += seconds
             observer.add(_row(Arm.WITH_DOS))
-    return captured.get().splitlines()
+    assert all(len(line) < 100 for line in captured.get().splitlines())
+    return captured.get().replace("\n  ", " ").splitlines()  # What goes on is indented.
 
 
 def test_a_pipe_gets_a_line_per_tenth() -> None:
@@ -152,7 +153,8 @@ def test_quiet_json_is_one_document_that_agrees_with_the_summary(
     assert main(["run", str(scenes), *COAST, *options[:-2], "--json", "-"]) == OK
     shown = capfd.readouterr()
     assert json.loads(shown.out) == read_json(out / "summary.json")
-    (line,) = shown.err.splitlines()
+    line, *more = shown.err.splitlines()
+    assert all(each.startswith("  ") for each in more)
     assert line.startswith("4 of 4 episodes; with DOS: 2 of 2, success 50.0 %")
 
     assert main(["compare", str(out), "--json"]) == OK

@@ -184,8 +184,11 @@ def test_what_is_not_ranked_is_marked_and_seeds_are_named(tmp_path: Path) -> Non
     assert "False" in csv_table(table).splitlines()[1]
 
 
-def test_a_table_and_a_comparison_print_from_python(tmp_path: Path) -> None:
-    a = _run(tmp_path / "a", [HIT, MISS, CRASH])
+def test_a_table_and_a_comparison_print_from_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    a = _run(Path("a"), [HIT, MISS, CRASH])
     found = dosplan.table(a, columns=("success",))
     assert found.blocks[0].rows[0].figures["success"].value == pytest.approx(1 / 3)
     lines = str(found).splitlines()
@@ -194,8 +197,9 @@ def test_a_table_and_a_comparison_print_from_python(tmp_path: Path) -> None:
     assert "| Run | Arm | n | Success % |" in found._repr_markdown_()
     shown = repr(dosplan.compare(a))
     assert "Scenario whose outcome differs" in shown
-    success = next(line for line in shown.splitlines() if line.startswith("Success %"))
-    assert success.split()[2:6] == ["3", "100.0", "33.3", "-66.7"]
+    figures, counts = (x.split() for x in shown.splitlines() if x.startswith("Success %"))
+    assert figures[2:6] == ["3", "100.0", "33.3", "-66.7"]
+    assert counts[2:4] == ["2", "0"]
 
 
 def test_other_files_or_versions_of_the_same_scenarios_are_told(tmp_path: Path) -> None:

@@ -206,12 +206,9 @@ def test_the_command_tells_both_counts_and_the_reasons(
     for text in (shown.err, shown.out, (out / "summary.md").read_text()):
         assert told in text
     lines = shown.err.splitlines()
-    after = 2 + len(REASONS)
     assert lines[:2] == ["0 of 16 episodes", told]
-    assert [line[:17] for line in (lines[after], lines[-1])] == [
-        "12 of 16 episodes",
-        "16 of 16 episodes",
-    ]
+    driven = [line[:17] for line in lines[2 + len(REASONS) :] if "episodes" in line]
+    assert [driven[0], driven[-1]] == ["12 of 16 episodes", "16 of 16 episodes"]
     for name, reason in REASONS.items():
         (line,) = [line for line in lines if line.startswith(f"  {scenes / name}.xml: ")]
         assert reason in line

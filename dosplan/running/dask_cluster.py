@@ -292,7 +292,11 @@ def _connected(address: str) -> Iterator[Any]:
 @contextmanager
 def _local_cluster(workers: int) -> Iterator[str]:
     """Starts a scheduler and workers on this machine; its address."""
-    with dask.config.set({"distributed.worker.daemon": False}):
+    settings = {
+        "distributed.worker.daemon": False,
+        "distributed.worker.profile.enabled": False,  # Dask's own, which grows for a quarter hour.
+    }
+    with dask.config.set(settings):
         cluster = distributed.LocalCluster(  # type: ignore[no-untyped-call]
             n_workers=workers,
             threads_per_worker=1,

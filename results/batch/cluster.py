@@ -6,7 +6,8 @@ It starts a scheduler and a worker on this machine and drives a sweep of episode
 (``cruise``, no prediction) with the command ``dosplan sweep``. Each time a part of the episodes is
 done, a worker joins and the oldest one is killed with whatever it is driving. Once a second it
 looks at the resident memory and the processor time of runner, scheduler and workers, and in the
-end at the rows: each episode must have one, once. It writes ``cluster.json`` beside this file, with
+end at the rows: each episode must have one, once. With ``--minutes`` it is cut off, and the figures
+are of the episodes until then. It writes ``cluster.json`` beside this file, with
 what follows for a million episodes from these parts and from those of ``scale.json``.
 """
 
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -27,6 +29,7 @@ from typing import Any, Final
 import numpy as np
 import psutil
 
+from dosplan.cli.command import INTERRUPTED, OK
 from dosplan.results.folder import RunFolder
 from dosplan.results.rows import read_rows
 from dosplan.running.scaling import MILLION, write_tiny
@@ -160,12 +163,13 @@ class _Rows:
         return sum(lines for *_, lines in self._read.values())
 
 
-def measure(episodes: int, place: Path) -> dict[str, Any]:
+def measure(episodes: int, place: Path, minutes: float) -> dict[str, Any]:
     """Drives the sweep and measures.
 
     Args:
         episodes: How many; a multiple of those that one scenario has in all runs.
         place: A folder for everything that is written.
+        minutes: After how many the sweep is interrupted, as with Ctrl-C.
 
     Returns:
         Figures.
@@ -196,16 +200,20 @@ def measure(episodes: int, place: Path) -> dict[str, Any]:
                 cluster.grow()
                 cluster.shrink()
                 changes.append((done, round(now - began, 1)))
+            if now - began > 60.0 * minutes:
+                runner.process.send_signal(signal.SIGINT)
+                runner.process.wait()
         seconds = time.monotonic() - began
     finally:
         cluster.end()
-    if runner.process.returncode != 0:
+    if runner.process.returncode not in (OK, INTERRUPTED):
         raise SystemExit((place / "log.txt").read_text()[-3000:])
     found = [row for run in runs for row in read_rows(run.rows)]
+    asked, episodes = episodes, len(found)
     driving = [np.array(worker.samples) for worker in cluster.workers if worker.samples]
     return {
-        "episodes": episodes,
-        "rows": len(found),
+        "episodes_asked_for": asked,
+        "rows": episodes,
         "episodes_with_a_row": sum(len({row.key for row in read_rows(run.rows)}) for run in runs),
         "rows_by_outcome": {o: sum(row.outcome is o for row in found) for o in Outcome},
         "seconds": seconds,
@@ -281,10 +289,11 @@ def main() -> None:
     """Measures, and writes the figures."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--episodes", type=int, default=10_000, metavar="N")
+    parser.add_argument("--minutes", type=float, default=np.inf, metavar="M")
     parser.add_argument("--json", type=Path, default=HERE / "cluster.json", metavar="FILE")
     options = parser.parse_args()
     with TemporaryDirectory() as place:
-        found = measure(options.episodes, Path(place))
+        found = measure(options.episodes, Path(place), options.minutes)
     found["million"] = project(found, read_json(HERE / "scale.json"))
     write_json(options.json, {**found, "environment": asdict(describe_environment())})
 

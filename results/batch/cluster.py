@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -29,7 +28,6 @@ from typing import Any, Final
 import numpy as np
 import psutil
 
-from dosplan.cli.command import INTERRUPTED, OK
 from dosplan.results.folder import RunFolder
 from dosplan.results.rows import read_rows
 from dosplan.running.scaling import MILLION, write_tiny
@@ -169,7 +167,7 @@ def measure(episodes: int, place: Path, minutes: float) -> dict[str, Any]:
     Args:
         episodes: How many; a multiple of those that one scenario has in all runs.
         place: A folder for everything that is written.
-        minutes: After how many the sweep is interrupted, as with Ctrl-C.
+        minutes: After how many the runner is killed; it leaves whole rows.
 
     Returns:
         Figures.
@@ -201,12 +199,13 @@ def measure(episodes: int, place: Path, minutes: float) -> dict[str, Any]:
                 cluster.shrink()
                 changes.append((done, round(now - began, 1)))
             if now - began > 60.0 * minutes:
-                runner.process.send_signal(signal.SIGINT)
+                runner.process.kill()
                 runner.process.wait()
+                runner.killed = True
         seconds = time.monotonic() - began
     finally:
         cluster.end()
-    if runner.process.returncode not in (OK, INTERRUPTED):
+    if runner.process.returncode != 0 and not runner.killed:
         raise SystemExit((place / "log.txt").read_text()[-3000:])
     found = [row for run in runs for row in read_rows(run.rows)]
     asked, episodes = episodes, len(found)

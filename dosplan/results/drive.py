@@ -194,7 +194,9 @@ class Drive:
         tracks = self.tracks
         other = shape_at(tracks, contact.user, tracks.states[contact.user, contact.step])
         ego = shapely.Polygon(rectangle_corners(pose, self.vehicle.size))
-        return np.asarray(shapely.centroid(shapely.shortest_line(ego, other)).coords[0])
+        common = shapely.intersection(ego, other)
+        met = shapely.shortest_line(ego, other) if common.is_empty else common
+        return np.asarray(shapely.centroid(met).coords[0])
 
     def seconds(self, step: int) -> float:
         """Time of a step since the start, s."""

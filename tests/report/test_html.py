@@ -36,10 +36,11 @@ from dosplan.results.markdown import ARMS_SIDE_BY_SIDE, interval_text
 from dosplan.results.recording import Recording
 from dosplan.results.rows import row_line
 from dosplan.results.sweeps import SweepFolder, SweepRun
-from dosplan.scenario.synthetic import steady_tracks
+from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.scoring.metrics import find_metric
 from dosplan.scoring.score import failed_score
 from dosplan.simulation.loop import run_episode
+from dosplan.simulation.settings import LoopSettings, SensingSettings
 from dosplan.simulation.traffic import Replay, Traffic
 from dosplan.system.files import FileError, write_json
 from dosplan.types import (
@@ -718,3 +719,39 @@ def test_the_command_takes_several_runs_or_one_arm(
     capsys.readouterr()
     assert main(["report", a, str(tmp_path / "none")]) == cli.BAD_INPUT
     assert "none is not a run folder" in capsys.readouterr().err
+
+
+def test_what_the_ego_saw_of_late_is_in_the_payload_and_what_it_saw_at_once_is_not() -> None:
+    scene = straight_scenario(
+        steady_tracks([[12.0, 0.0, 0.0, 10.0], [20.0, 0.0, 0.0, 10.0]], steps=21),
+        velocity=10.0,
+        final_step=20,
+    )
+    sees = SensingSettings(occlusion=True)
+    late, ideal = (
+        Drive.of(scene, run_episode(scene, CoastPlanner(), GrowingPredictor(), Arm.WITH_DOS, loop))
+        for loop in (LoopSettings(latency=0.3, sensing=sees), LoopSettings())
+    )
+    payload = encode_episode(scene, [late, ideal])
+    assert "seen" not in payload["sides"][1]
+    seen, users = payload["sides"][0]["seen"], payload["users"]
+    assert len(seen["hidden"]) == len(seen["at"]) == len(late.recording.cycle_steps)
+    near, hidden = ([user["id"] for user in users].index(name) for name in (100, 101))
+    assert {tuple(cycle) for cycle in seen["hidden"]} == {(hidden,)}
+    sightings = late.recording.sightings
+    assert sightings is not None
+    assert seen["at"][0] == []  # At the start nothing is late yet.
+    for step, (user, x, y, heading) in zip(sightings.steps[1:], seen["at"][1:], strict=True):
+        assert (user, y, heading) == (near, 0, 0)
+        assert x * METRE == pytest.approx(12.0 + step - np.rint(late.ego[0, 0]), abs=METRE)
+
+
+def test_the_mark_of_a_collision_is_at_the_contact() -> None:
+    scene = straight_scenario(steady_tracks([[14.0, 0.0, 0.0, 0.0]], steps=41), velocity=10.0)
+    episode = run_episode(scene, CoastPlanner(), GrowingPredictor(), Arm.WITH_DOS)
+    drive = Drive.of(scene, episode)
+    assert drive.contact is not None
+    x, y = encode_episode(scene, [drive])["sides"][0]["place"]
+    back = 14.0 - 0.5 * scene.tracks.size[0, 0] - np.rint(drive.ego[0, 0])
+    assert x * METRE == pytest.approx(back, abs=1.0)  # Within a step of the touch.
+    assert y == 0

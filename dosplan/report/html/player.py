@@ -22,9 +22,11 @@ from dosplan.report.html.codec import METRE, RADIAN, SPEED, differences, polylin
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.road_paint import Look, crosswalks, lamps, lines, plates, stop_lines
 from dosplan.results.drive import Drive
+from dosplan.system.files import FileError
 from dosplan.types import (
     EGO_VELOCITY,
     STEP_SECONDS,
+    USER_HEADING,
     FloatArray,
     IntArray,
     RoadUserKind,
@@ -45,6 +47,9 @@ MOST_PREDICTED: Final = 12
 
 PLAN_STRIDE: Final = 5
 """Every fifth point of a plan is kept: half a second."""
+
+ELSEWHERE: Final = 0.3
+"""Road users that the ego sees within so many m of where they are have no outline there."""
 
 KINDS: Final = tuple(RoadUserKind)
 _TOLERANCE: Final = 0.1  # m; of a simplified outline.
@@ -79,18 +84,20 @@ def encode_episode(scene: Scenario | None, drives: Sequence[Drive | None]) -> di
         if drive is None
         else _encode_drive(drive, origin)
         | {"predictions": block, "touched": drive.row.collision_with}
-        for drive, block in zip(drives, others.used, strict=True)
+        | ({} if seen is None else {"seen": seen})
+        for drive, block, seen in zip(drives, others.used, others.seen, strict=True)
     ]
     return payload
 
 
 @dataclass(frozen=True)
 class _Others:
-    """What a page draws of the road users: lists of the payload, and each side's block."""
+    """What a page draws of the road users: lists of the payload; each side's block and sight."""
 
     users: list[dict[str, Any]] | None
     predictions: list[dict[str, Any]]
     used: list[dict[str, Any] | None]
+    seen: list[dict[str, Any] | None]
 
 
 def _encode_others(drives: Sequence[Drive | None], origin: FloatArray) -> _Others:
@@ -102,6 +109,7 @@ def _encode_others(drives: Sequence[Drive | None], origin: FloatArray) -> _Other
     users: list[dict[str, Any]] = []
     blocks: list[dict[str, Any]] = []
     used: list[dict[str, Any] | None] = [None] * len(drives)
+    seen: list[dict[str, Any] | None] = [None] * len(drives)
     for group in groups.values():
         sides, members = [side for side, _ in group], [drive for _, drive in group]
         tracks, wanted = members[0].known_tracks, None
@@ -111,6 +119,8 @@ def _encode_others(drives: Sequence[Drive | None], origin: FloatArray) -> _Other
                 name: index + len(users)
                 for name, index in _predicted(tracks, near, members).items()
             }
+            for side, drive in group:
+                seen[side] = _encode_seen(drive, tracks, near, len(users), origin)
             theirs = {"sides": sides} if len(groups) > 1 else {}
             users += [one | theirs for one in _encode_users(tracks, near, members, origin)]
         found, shown = prediction_blocks(
@@ -123,12 +133,63 @@ def _encode_others(drives: Sequence[Drive | None], origin: FloatArray) -> _Other
             used[side] = None if block is None else block | {"block": block["block"] + len(blocks)}
         blocks += found
     known = any(drive is not None and drive.known_tracks is not None for drive in drives)
-    return _Others(users if known else None, blocks, used)
+    return _Others(users if known else None, blocks, used, seen)
+
+
+def _encode_seen(
+    drive: Drive, tracks: Tracks, near: IntArray, first: int, origin: FloatArray
+) -> dict[str, Any] | None:
+    """Writes what the ego saw; None where that was all there was, at the step of each cycle.
+
+    Args:
+        drive: The drive.
+        tracks: The road users.
+        near: Rows of those that are drawn.
+        first: Index in the payload of the first of these.
+        origin: (2,) m.
+
+    Returns:
+        For each cycle that is shown, ``hidden``: indices of those on the scene that it does not
+        know; ``at``: index, x, y and heading of each that it knows to be elsewhere.
+    """
+    sightings = drive.recording.sightings
+    if sightings is None:
+        return None
+    hidden: list[list[int]] = []
+    at: list[list[int]] = []
+    for cycle in _shown_cycles(drive).tolist():
+        step = min(int(drive.recording.cycle_steps[cycle]), tracks.steps - 1)
+        here = sightings.cycle == cycle
+        known = dict(zip(sightings.ids[here].tolist(), sightings.states[here], strict=True))
+        hidden.append([])
+        at.append([])
+        for index, row in enumerate(near.tolist(), start=first):
+            state = known.get(int(tracks.ids[row]))
+            if state is None:
+                hidden[-1] += [index] if tracks.valid[row, step] else []
+            elif not np.linalg.norm(state[:2] - tracks.states[row, step, :2]) < ELSEWHERE:
+                place = np.rint([*(state[:2] - origin) / METRE, state[USER_HEADING] / RADIAN])
+                at[-1] += [index, *(int(value) for value in place)]
+    return {"hidden": hidden, "at": at}
+
+
+def _shown_cycles(drive: Drive) -> IntArray:
+    """Rows of the planning cycles that act before the end of the scored drive."""
+    kept = drive.recording.cycle_steps < drive.start + drive.row.steps
+    return np.flatnonzero(kept).astype(np.int64)
+
+
+def _place(drive: Drive) -> FloatArray:
+    """(2,) where the outcome was decided, m; of a row that does not fit its drive, the ego."""
+    try:
+        return drive.place
+    except FileError:
+        return np.asarray(drive.ego[drive.decisive_step - drive.start, :2])
 
 
 def _encode_drive(drive: Drive, origin: FloatArray) -> dict[str, Any]:
     recording, poses = drive.recording, drive.ego
-    kept = np.flatnonzero(recording.cycle_steps < drive.start + drive.row.steps)
+    kept = _shown_cycles(drive)
     plans = recording.plan_centres[kept, PLAN_STRIDE::PLAN_STRIDE] - origin
     # A plan that is shorter than the longest stays at its last point.
     ends = np.isnan(plans[..., 0])
@@ -142,6 +203,7 @@ def _encode_drive(drive: Drive, origin: FloatArray) -> dict[str, Any]:
         "h": differences(np.unwrap(poses[:, 2]), RADIAN, 1),
         "v": differences(recording.states[: len(poses), EGO_VELOCITY], SPEED, 1),
         "moment": drive.decisive_step - drive.start,
+        "place": polyline([_place(drive) - origin]),
         "cycles": differences(recording.cycle_steps[kept], 1.0, 1),
         "plans": [
             [differences(plans[:, column, axis], METRE, 2) for axis in range(2)]

@@ -55,8 +55,25 @@ function decodeEpisode(packed) {
       ...side,
       ...decodePath(side),
       v: sums(side.v, GRAIN.speed, 1),
+      place: points(side.place)[0],
       cycles: sums(side.cycles, 1, 1),
+      seen: side.seen && decodeSeen(side.seen),
       plans: side.plans.map((column) => column.map((axis) => sums(axis, GRAIN.metre, 2))),
+    }),
+  };
+}
+
+// What the ego saw by cycle: whom it does not know, and [user, [x, y, heading]] of who is elsewhere.
+function decodeSeen({ hidden, at }) {
+  return {
+    hidden: hidden.map((users) => new Set(users)),
+    at: at.map((flat) => {
+      const found = [];
+      for (let i = 0; i < flat.length; i += 4) {
+        const [user, x, y, h] = flat.slice(i, i + 4);
+        found.push([user, [x * GRAIN.metre, y * GRAIN.metre, h * GRAIN.radian]]);
+      }
+      return found;
     }),
   };
 }

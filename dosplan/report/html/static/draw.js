@@ -29,14 +29,24 @@ function drawScene(context, size, view, episode, step, layers, palette) {
   drawRoad(context, episode, pixel, palette);
   if (layers.rules) episode.signs.forEach((sign) => drawSign(context, sign, pixel, palette));
   if (layers.sets) drawSets(context, episode, step, layers, pixel, palette);
-  episode.users.forEach((user) => {
+  episode.users.forEach((user, index) => {
     // A road user that reacts was driven once for each side.
     const shown = episode.sides.filter((side, i) => side && layers.sides[i] && (!user.sides || user.sides.includes(i)));
     if (user.sides && !shown.length) return;
+    // Faint: none of the shown sides knows of it at this step.
+    context.globalAlpha = shown.length && shown.every((side) => isHidden(side, index, step)) ? 0.25 : 1;
     drawUser(context, user, step, shown.some((side) => side.touched === user.id), pixel, palette);
+    context.globalAlpha = 1;
   });
   episode.sides.forEach((side, index) => {
     if (side && layers.sides[index]) drawSide(context, episode, side, index, step, layers, pixel, palette);
+  });
+  // Whom an ego meets is not hidden by it.
+  episode.sides.forEach((side, index) => {
+    if (!side || !layers.sides[index] || step - side.start < side.moment) return;
+    episode.users
+      .filter((user) => user.id === side.touched && (!user.sides || user.sides.includes(index)))
+      .forEach((user) => drawUser(context, user, step, true, pixel, palette));
   });
   if (layers.rules) {
     // Above the bodies: whoever drives over a stop line does not hide its light.
@@ -211,6 +221,27 @@ function drawBody(context, pose, length, width, outline, fill, edge, lineWidth) 
   context.restore();
 }
 
+function isHidden(side, user, step) {
+  const cycle = side.seen ? latest(side.cycles, step) : -1;
+  return cycle >= 0 && side.seen.hidden[cycle].has(user);
+}
+
+// A body where it is not now: a broken outline.
+function drawGhost(context, pose, length, width, outline, colour, dash, pixel) {
+  const [x, y, heading] = pose;
+  context.save();
+  context.translate(x, y);
+  context.rotate(heading);
+  context.beginPath();
+  trace(context, outline || [[1, 1], [-1, 1], [-1, -1], [1, -1]].map(([a, b]) => [(a * length) / 2, (b * width) / 2]));
+  context.closePath();
+  context.setLineDash(dash.map((pixels) => pixels * pixel));
+  context.strokeStyle = colour;
+  context.lineWidth = 1.5 * pixel;
+  context.stroke();
+  context.restore();
+}
+
 function drawUser(context, user, step, touched, pixel, palette) {
   if (step < user.from || step > user.to) return;
   const edge = touched ? palette.outcomes.collision : palette.ink;
@@ -228,6 +259,12 @@ function drawSide(context, episode, side, index, step, layers, pixel, palette) {
   const pose = poseAt(side, step, side.start);
   context.lineCap = "round";
   context.lineJoin = "round";
+  drawGhost(context, [side.x[0], side.y[0], side.h[0]], episode.ego[0], episode.ego[1], null, colour, [5, 3], pixel);
+  const cycle = side.seen ? latest(side.cycles, step) : -1;
+  (cycle < 0 ? [] : side.seen.at[cycle]).forEach(([user, at]) => {
+    const { size, outline } = episode.users[user];
+    drawGhost(context, at, size[0], size[1], outline, colour, [1.5, 2], pixel);
+  });
   if (layers.path) {
     context.beginPath();
     context.globalAlpha = 0.3;
@@ -266,9 +303,9 @@ function drawPlan(context, side, step, pose, colour, pixel) {
 
 // Where and how it ended: a cross for what went wrong, open where the contact is; a ring for a goal.
 function drawMoment(context, side, colour, pixel, palette) {
-  const [x, y] = [side.x[side.moment], side.y[side.moment]];
+  const [x, y] = side.place;
   const good = side.outcome === "success";
-  const [inner, reach] = [9 * pixel, 19 * pixel];
+  const [inner, reach] = [14 * pixel, 23 * pixel];
   for (const [style, width] of [[palette.paper, 7], [good ? palette.outcomes.success : palette.outcomes[side.outcome], 3.5]]) {
     context.beginPath();
     if (good) {

@@ -108,7 +108,9 @@ function makePlayer(dialog, data) {
       return item;
     };
     const lit = [...new Set(state.episode.lights.flatMap((lamp) => lamp.shown))].sort((a, b) => a - b);
+    const sight = state.episode.sides.some((side) => side && side.seen) ? ["dotted: where it was seen", "faint: not seen"] : [];
     return [
+      ...["dashed: start of an ego", ...sight].map((text) => element("li", { textContent: text })),
       ...(lit.length ? [key("traffic light", [...new Set(lit.map((shown) => data.lamps[shown][0]))], data.signs.rim)] : []),
       ...(units.length ? [key(`limit, ${units.join(" and ")}`, ["#ffffff"], data.signs.red)] : []),
     ];

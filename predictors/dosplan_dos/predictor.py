@@ -1,4 +1,4 @@
-"""``dos-v3``: dynamic occupancy sets around the trajectories of any predictor."""
+"""``dos-v4``: dynamic occupancy sets around the trajectories of any predictor."""
 
 from __future__ import annotations
 
@@ -41,8 +41,9 @@ if TYPE_CHECKING:
     from dosplan_net.graphs import Graph
 
 DEFAULT_SETS = "union"
-DEFAULT_COVERAGE: Final = 0.7
-"""Share of the true centres that the sets cover, in every loop, where nothing else is asked for."""
+DEFAULT_COVERAGE: Final = {CalibratedFor.IDEAL: 0.9, CalibratedFor.REALISTIC: 0.7}
+"""Share of the true centres that the sets cover where nothing else is asked for, by the loop that
+they are calibrated for. Where sensors err, 90 % take so much room that the ego hardly gets past."""
 WEIGHTS: Final = ".safetensors"
 """End of the name of a weight file."""
 
@@ -70,8 +71,8 @@ class DosSettings(PredictorSettings):
         scale: Factor on the semi-axes that were trained, such as the number of standard deviations
             of ``pr``, in place of a coverage; a module that has no calibration has 1 by default.
         coverage: Share of the true centres that the sets are to cover at each step, in (0, 1); the
-            sets are calibrated on recordings for it. By default ``DEFAULT_COVERAGE``, which was
-            chosen in closed loop on training and validation scenarios, unless there is a scale.
+            sets are calibrated on recordings for it. By default that of ``DEFAULT_COVERAGE``, which
+            was chosen in closed loop on training and validation scenarios, unless there is a scale.
         calibration: The loop that the sets are calibrated for: ``ideal``, where road users are
             seen exactly, or ``realistic``, as its sensors see them. A ``scale`` then stands for
             the coverage that it has in the ideal loop, so that the sets know of the errors of
@@ -147,7 +148,10 @@ class DosSettings(PredictorSettings):
             return self.coverage
         there = calibration_file(self.sets_file, CalibratedFor.IDEAL).is_file()
         asked = there or self.conditional or self.adaptation > 0.0
-        return DEFAULT_COVERAGE if asked else None
+        if not asked:
+            return None
+        realistic = self.calibration is CalibratedFor.REALISTIC
+        return DEFAULT_COVERAGE[CalibratedFor.REALISTIC if realistic else CalibratedFor.IDEAL]
 
     def seen_by(self, *, exact: bool) -> Self:
         """Chooses the calibration that is left to the loop."""
@@ -169,7 +173,7 @@ class DosPredictor(Predictor):
     measured with ``dosplan evaluate``. Parked and static road users keep sets of zero.
     """
 
-    name = "dos-v3"
+    name = "dos-v4"
     settings = DosSettings
 
     def __init__(self, *, seed: int = 0, settings: DosSettings = DosSettings()) -> None:

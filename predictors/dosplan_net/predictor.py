@@ -1,4 +1,4 @@
-"""``net-v3``: the trained trajectory network as a predictor. Its sets are points."""
+"""``net-v4``: the trained trajectory network as a predictor. Its sets are points."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class NetSettings(PredictorSettings):
 class NetPredictor(Predictor):
     """Trajectories of the trained network; parked and static road users stay where they are."""
 
-    name = "net-v3"
+    name = "net-v4"
     settings = NetSettings
     has_sets = False
 

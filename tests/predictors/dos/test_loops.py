@@ -36,7 +36,7 @@ from dosplan.running.config import RunConfig
 from dosplan.running.job import make_plugins
 from dosplan.scenario.synthetic import busy_scenario, steady_tracks, straight_scenario
 from dosplan.simulation.settings import IDEAL, REALISTIC, LoopSettings, SensingSettings
-from dosplan.types import FloatArray, RoadUserKind
+from dosplan.types import FloatArray, Occupancy, RoadUserKind
 from tests.support.models import seen
 
 SIGMA = 0.4
@@ -139,23 +139,26 @@ def test_a_run_hands_its_loop_to_the_predictor(tmp_path: Path) -> None:
     assert {ideal, realistic} & set(predictor.weight_files()) == {ideal}
 
 
-def test_the_same_coverage_is_asked_for_in_both_loops_and_needs_larger_sets_where_sensors_err() -> (
-    None
-):
+def test_each_loop_has_its_coverage_and_the_same_needs_larger_sets_where_sensors_err() -> None:
     observation = seen(busy_scenario())
     one = DosSettings(sets="coverage")
-    own, ideal, realistic = (
-        DosPredictor(settings=settings).predict(observation)
-        for settings in (
-            one,
-            replace(one, coverage=DEFAULT_COVERAGE, calibration=CalibratedFor.IDEAL),
-            replace(one, calibration=CalibratedFor.REALISTIC),
-        )
-    )
-    np.testing.assert_array_equal(own.semi_axes, ideal.semi_axes)
-    moving = own.semi_axes[..., 0] > 0.0
-    assert np.all(realistic.semi_axes[moving] > own.semi_axes[moving])
-    np.testing.assert_array_equal(realistic.centre, own.centre)
+    sets: dict[tuple[CalibratedFor, float | None], Occupancy] = {
+        (loop, coverage): DosPredictor(
+            settings=replace(one, calibration=loop, coverage=coverage)
+        ).predict(observation)
+        for loop in (CalibratedFor.AUTO, *DEFAULT_COVERAGE)
+        for coverage in (None, 0.9, 0.7)
+    }
+    exact = sets[CalibratedFor.IDEAL, 0.9]
+    for loop, coverage in ((CalibratedFor.AUTO, 0.9), *DEFAULT_COVERAGE.items()):
+        expected = sets[loop, coverage].semi_axes
+        np.testing.assert_array_equal(sets[loop, None].semi_axes, expected)
+    moving = exact.semi_axes[..., 0] > 0.0
+    for coverage in (0.9, 0.7):
+        seen_badly = sets[CalibratedFor.REALISTIC, coverage]
+        seen_exactly = sets[CalibratedFor.IDEAL, coverage]
+        assert np.all(seen_badly.semi_axes[moving] > seen_exactly.semi_axes[moving])
+        np.testing.assert_array_equal(seen_badly.centre, seen_exactly.centre)
 
 
 def test_a_scale_is_a_factor_on_the_sets_as_they_were_trained() -> None:

@@ -172,7 +172,7 @@ def test_curves_go_by_rising_parameter(published: Published) -> None:
             "DOS coverage, calibrated at 90 % over 4 s",
         ),
         (
-            "DOS union, as driven (calibrated at 70 %)",
+            "DOS union, calibrated at 70 %",
             "DOS union, calibrated at 90 %",
             "DOS union, calibrated at 90 % over 4 s",
         ),

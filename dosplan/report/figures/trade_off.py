@@ -68,9 +68,9 @@ _CALIBRATED: Final = (
         {**_POINT, "color": DOS, "marker": "*", "markersize": 6},
     ),
     Curve(
-        "DOS, union of three, calibrated at 70 % (as driven), 90 %, 90 % over 4 s",
+        "DOS, union of three, calibrated at 70 %, 90 % (as driven), 90 % over 4 s",
         (
-            "DOS union, as driven (calibrated at 70 %)",
+            "DOS union, calibrated at 70 %",
             "DOS union, calibrated at 90 %",
             "DOS union, calibrated at 90 % over 4 s",
         ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,10 @@ from dosplan.types import Arm, Outcome
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize("run", ["suite", "suite-1", "recorded"])
+PROOF = ROOT / "results" / "proof"
+
+
+@pytest.mark.parametrize("run", ["suite", "recorded"])
 def test_tables_are_those_of_the_published_runs(run: str) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = text.split(f"<!-- {run} table: begin -->", 1)[1].split(f"<!-- {run} table: end -->")[0]
@@ -22,8 +26,38 @@ def test_tables_are_those_of_the_published_runs(run: str) -> None:
     assert shown.strip() == "\n\n".join(blocks[:2])
 
 
+@pytest.mark.parametrize("page", [ROOT / "README.md", PROOF / "README.md"])
+def test_the_proof_is_told_as_it_was_judged(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    cells = json.loads((PROOF / "proof.json").read_text(encoding="utf-8"))["cells"]
+    assert len(cells) == 4
+    for cell in cells:
+        scenarios = "fresh" if cell["scenarios"] == "fresh" else "recordings"
+        (row,) = (
+            line
+            for line in text.splitlines()
+            if line.startswith((f"| {scenarios}, ", f"| **{scenarios}, "))
+            and f"{cell['loop']}" in line
+        )
+        assert {cell["without"], cell["with_sets"], cell["n"]} <= set(
+            map(int, re.findall(r"(?<![\d.])\d+(?![\d.])", row))
+        )
+        assert f"{100 * cell['success']['a']:.1f} → {100 * cell['success']['b']:.1f}" in row
+
+
 @pytest.mark.parametrize(
-    ("run", "n"), [("suite", 300), ("suite/five-futures", 750), ("suite-1", 150), ("recorded", 150)]
+    ("run", "n"),
+    [
+        ("suite", 300),
+        ("suite/five-futures", 750),
+        ("suite-1", 150),
+        ("recorded", 150),
+        *(
+            (f"proof/runs/loop={loop},scenarios={scenarios},traffic=replay", n)
+            for loop in ("late", "realistic")
+            for scenarios, n in (("fresh", 750), ("bench", 150))
+        ),
+    ],
 )
 def test_published_figures_follow_from_their_rows(run: str, n: int) -> None:
     folder = ROOT / "results" / run

@@ -12,7 +12,7 @@ from typing import Final
 from dosplan.results.intervals import metric_interval
 from dosplan.results.markdown import markdown
 from dosplan.results.rows import read_rows
-from dosplan.scoring.metrics import METRICS
+from dosplan.scoring.metrics import find_metric
 from dosplan.system.files import write_text
 from dosplan.types import Arm, Score
 
@@ -49,7 +49,7 @@ def cells(rows: list[Score]) -> list[str]:
     """
     shown = []
     for name, digits in COLUMNS.items():
-        found = metric_interval(next(m for m in METRICS if m.name == name), rows)
+        found = metric_interval(find_metric(name), rows)
         assert found is not None
         scale = 1.0 if name == "velocity" else 100.0
         value, low, high = (f"{scale * x:.{digits}f}" for x in (found.value, found.low, found.high))

@@ -31,14 +31,22 @@ def folded(text: str, width: int = LINE, indent: str = "") -> str:
     Args:
         text: The text.
         width: Characters of a line, at most.
-        indent: What a line begins with that continues another.
+        indent: What a line begins with that continues another, after the spaces that the other
+            begins with.
 
     Returns:
         The text with more lines.
     """
-    fold = TextWrapper(
-        width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-    ).fill
+
+    def fold(line: str) -> str:
+        own = line[: len(line) - len(line.lstrip())]
+        return TextWrapper(
+            width,
+            subsequent_indent=own + indent,
+            break_long_words=False,
+            break_on_hyphens=False,
+        ).fill(line)
+
     return "\n".join(map(fold, text.split("\n")))
 
 

@@ -135,7 +135,7 @@ def test_the_command_says_what_it_made(
     chosen = shutil.move(record.parent / "map.osm", tmp_path / "elsewhere.osm")
     arguments = ["convert", "sind", str(record), "--out", str(tmp_path / "out")]
     assert main([*arguments, "--map", str(chosen), "--json", str(tmp_path / "made.json")]) == OK
-    shown = capsys.readouterr().out
+    shown = " ".join(capsys.readouterr().out.split())  # Long lines are folded.
     assert "r: 1 car, 1 pedestrian in 15 s on 7 lanelets with 2 lights" in shown
     assert f"wrote 1 to {tmp_path / 'out' / 'recordings'}, 1 to" in shown
     assert '"map": "elsewhere.osm"' in (tmp_path / "made.json").read_text(encoding="utf-8")

@@ -22,6 +22,21 @@ SOURCE_HELP: Final = (
 )
 
 
+def add_runs(parser: argparse.ArgumentParser) -> None:
+    """Declares the runs that are compared: folders, one arm of them, or sweeps.
+
+    Args:
+        parser: The command's parser.
+    """
+    parser.add_argument(
+        "runs",
+        nargs="+",
+        metavar="RUN",
+        help="a run folder, RUN:with_dos or RUN:without_dos for one arm of it, or the folder of a "
+        "sweep",
+    )
+
+
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Declares ``--json``.
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from dosplan.cli.arguments import add_moved_source
+from dosplan.cli.arguments import add_moved_source, add_runs
 from dosplan.cli.command import OK, Command
 
 _EXAMPLES: Final = """\
@@ -26,13 +26,7 @@ class ReportCommand:
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declares the arguments."""
         parser.epilog = _EXAMPLES
-        parser.add_argument(
-            "runs",
-            nargs="+",
-            metavar="RUN",
-            help="a run folder, RUN:with_dos or RUN:without_dos for one arm of it, or the folder "
-            "of a sweep",
-        )
+        add_runs(parser)
         parser.add_argument(
             "--out",
             type=Path,

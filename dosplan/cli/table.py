@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Final
 
-from dosplan.cli.arguments import STDOUT, add_json, show
+from dosplan.cli.arguments import STDOUT, add_json, add_runs, show
 from dosplan.cli.command import OK, CommandError
 
 if TYPE_CHECKING:
@@ -33,13 +33,7 @@ class TableCommand:
         """Declares the arguments."""
         parser.epilog = _EXAMPLES
         add_json(parser)
-        parser.add_argument(
-            "runs",
-            nargs="+",
-            metavar="RUN",
-            help="a run folder, RUN:with_dos or RUN:without_dos for one arm of it, or the folder "
-            "of a sweep",
-        )
+        add_runs(parser)
         parser.add_argument(
             "--baseline",
             metavar="RUN[:ARM]",

@@ -10,11 +10,13 @@ import tarfile
 import time
 import zipfile
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 
+import numpy as np
 import pytest
 
 from dosplan.cli.main import main
@@ -301,6 +303,23 @@ def test_a_damaged_archive_is_one_line_and_leaves_nothing(folder: Path, name: st
             find_scenarios(folder.parent / name)
         assert "\n" not in str(caught.value)
     assert not list((cache_folder() / "archives").glob(".*"))
+
+
+@pytest.mark.parametrize("name", ["x.tar.gz", "x.tar.xz", "x.tar.bz2"])
+def test_a_compressed_archive_cut_anywhere_loses_no_scenario_unnoticed(
+    tmp_path: Path, name: str
+) -> None:
+    folder = tmp_path / "data"
+    folder.mkdir()
+    drawn = np.random.default_rng(0)
+    for member in "ab":  # Hardly compressible, so that the first one is long read by the second.
+        (folder / f"{member}.xml").write_text(f"<commonRoad/><!--{drawn.bytes(150).hex()}-->")
+    whole = pack(folder, name).read_bytes()
+    complete = len(find_scenarios(tmp_path / name))
+    for end in range(1, len(whole)):
+        (tmp_path / name).write_bytes(whole[:end])
+        with suppress(ScenarioError):
+            assert len(find_scenarios(tmp_path / name)) == complete
 
 
 def zipped(path: Path, name: str, mode: int = 0, content: bytes = b"<x/>") -> None:

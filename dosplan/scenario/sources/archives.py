@@ -194,7 +194,13 @@ def _of_zip(file: zipfile.ZipFile, info: zipfile.ZipInfo, size: int) -> bytes:
 
 
 def _tar(stream: IO[bytes]) -> Iterator[_Member]:
-    with tarfile.open(fileobj=stream, mode="r|*") as file:
+    try:
+        # Not as a stream ("r|*"), which takes a compressed file that is cut between two members for
+        # one that ends there.
+        file = tarfile.open(fileobj=stream, mode="r:*")  # noqa: SIM115
+    except tarfile.ReadError:  # Its message has a line for each compression.
+        raise tarfile.ReadError("it is no archive") from None
+    with file:
         for info in file:
             content = file.extractfile(info) if info.isreg() else None
             read = None if content is None else content.read

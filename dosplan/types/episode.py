@@ -98,6 +98,18 @@ class Sightings:
         frozen(self, "ids", np.int64, (m,))
         frozen(self, "states", np.float64, (m, USER_SIZE), finite=True)
 
+    def of_cycle(self, cycle: int) -> dict[int, FloatArray]:
+        """What the plan of a cycle was made of.
+
+        Args:
+            cycle: Row of the cycle.
+
+        Returns:
+            (4,) state by the id of each road user that was seen.
+        """
+        here = self.cycle == cycle
+        return dict(zip(self.ids[here].tolist(), self.states[here], strict=True))
+
 
 @dataclass(frozen=True)
 class Episode:

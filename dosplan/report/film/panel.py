@@ -25,6 +25,7 @@ from dosplan.report.film.layers import (
 from dosplan.report.film.scene import draw_map, draw_task
 from dosplan.report.palette import INK, KIND_COLOURS, OUTCOME_COLOURS, RULE, WHITE
 from dosplan.report.road_paint import Lamp, Plate, lamps, plates
+from dosplan.report.sight import is_elsewhere
 from dosplan.types import FloatArray, Outcome, RoadUserKind
 
 _GAP: Final = 0.6
@@ -32,7 +33,6 @@ _CROSS: Final = Outline(  # Open in the middle, wide enough for a car: the conta
     [(x * r, y * r) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for r in (1.0, _GAP)],
     [Outline.MOVETO, Outline.LINETO] * 4,
 )
-_ELSEWHERE: Final = 0.3  # m; who was seen as near as this to where it is has no outline there.
 _SET_METRES: Final = 40.0  # Sets of road users that are farther from the ego are left out.
 _BARS: Final = (20.0, 50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0, 5000.0)  # m
 _LEAST_BAR: Final = 60.0  # Pixels.
@@ -157,8 +157,7 @@ class Panel:
         found = [
             (state[:3], rows[name])
             for name, state in (self._sighted(step) or {}).items()
-            if name in rows
-            and not np.linalg.norm(state[:2] - tracks.states[rows[name], now, :2]) < _ELSEWHERE
+            if name in rows and is_elsewhere(state, tracks.states[rows[name], now])
         ]
         return np.reshape([pose for pose, _ in found], (-1, 3)), [row for _, row in found]
 
@@ -201,10 +200,7 @@ class Panel:
         """What the plan that acts at a step was made of: (4,) states by id; None where of all."""
         drive, cycle = self.take.drive, self._cycle(step)
         seen = None if drive is None else drive.recording.sightings
-        if seen is None or cycle is None:
-            return None
-        here = seen.cycle == cycle
-        return dict(zip(seen.ids[here].tolist(), seen.states[here], strict=True))
+        return None if seen is None or cycle is None else seen.of_cycle(cycle)
 
     def _show_seen(self, step: int) -> set[int]:
         """Shows where the ego saw road users; gives the ids of those that it did not see."""

@@ -21,6 +21,7 @@ from dosplan.geometry import areas, lanelets_off_road
 from dosplan.report.html.codec import METRE, RADIAN, SPEED, differences, polyline
 from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.road_paint import Look, crosswalks, lamps, lines, plates, stop_lines
+from dosplan.report.sight import is_elsewhere
 from dosplan.results.drive import Drive
 from dosplan.system.files import FileError
 from dosplan.types import (
@@ -47,9 +48,6 @@ MOST_PREDICTED: Final = 12
 
 PLAN_STRIDE: Final = 5
 """Every fifth point of a plan is kept: half a second."""
-
-ELSEWHERE: Final = 0.3
-"""Road users that the ego sees within so many m of where they are have no outline there."""
 
 KINDS: Final = tuple(RoadUserKind)
 _TOLERANCE: Final = 0.1  # m; of a simplified outline.
@@ -159,15 +157,14 @@ def _encode_seen(
     at: list[list[int]] = []
     for cycle in _shown_cycles(drive).tolist():
         step = min(int(drive.recording.cycle_steps[cycle]), tracks.steps - 1)
-        here = sightings.cycle == cycle
-        known = dict(zip(sightings.ids[here].tolist(), sightings.states[here], strict=True))
+        known = sightings.of_cycle(cycle)
         hidden.append([])
         at.append([])
         for index, row in enumerate(near.tolist(), start=first):
             state = known.get(int(tracks.ids[row]))
             if state is None:
                 hidden[-1] += [index] if tracks.valid[row, step] else []
-            elif not np.linalg.norm(state[:2] - tracks.states[row, step, :2]) < ELSEWHERE:
+            elif is_elsewhere(state, tracks.states[row, step]):
                 place = np.rint([*(state[:2] - origin) / METRE, state[USER_HEADING] / RADIAN])
                 at[-1] += [index, *(int(value) for value in place)]
     return {"hidden": hidden, "at": at}

@@ -196,18 +196,18 @@ function drawSets(context, episode, step, layers, pixel, palette) {
   });
 }
 
-function drawBody(context, pose, length, width, outline, fill, edge, lineWidth) {
-  const [x, y, heading] = pose;
+// Traces a body in its own frame, which holds until the next restore().
+function traceBody(context, [x, y, heading], length, width, outline) {
   context.save();
   context.translate(x, y);
   context.rotate(heading);
   context.beginPath();
-  if (outline) {
-    trace(context, outline);
-    context.closePath();
-  } else {
-    context.rect(-length / 2, -width / 2, length, width);
-  }
+  trace(context, outline || [[1, 1], [-1, 1], [-1, -1], [1, -1]].map(([a, b]) => [(a * length) / 2, (b * width) / 2]));
+  context.closePath();
+}
+
+function drawBody(context, pose, length, width, outline, fill, edge, lineWidth) {
+  traceBody(context, pose, length, width, outline);
   context.fillStyle = fill;
   context.fill();
   context.strokeStyle = edge;
@@ -228,13 +228,7 @@ function isHidden(side, user, step) {
 
 // A body where it is not now: a broken outline.
 function drawGhost(context, pose, length, width, outline, colour, dash, pixel) {
-  const [x, y, heading] = pose;
-  context.save();
-  context.translate(x, y);
-  context.rotate(heading);
-  context.beginPath();
-  trace(context, outline || [[1, 1], [-1, 1], [-1, -1], [1, -1]].map(([a, b]) => [(a * length) / 2, (b * width) / 2]));
-  context.closePath();
+  traceBody(context, pose, length, width, outline);
   context.setLineDash(dash.map((pixels) => pixels * pixel));
   context.strokeStyle = colour;
   context.lineWidth = 1.5 * pixel;

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from dosplan.results.comparison import compare_rows
+from dosplan.results.intervals import one_place_each
 from dosplan.results.markdown import markdown
 from dosplan.results.paired import Difference, sign_flip_p
 from dosplan.results.rows import read_run
@@ -104,15 +105,6 @@ class Cell:
 def arm_rows(rows: Sequence[Score], arm: Arm) -> list[Score]:
     """The rows of an arm."""
     return [row for row in rows if row.arm is arm]
-
-
-def one_place_each(row: Score) -> Score:
-    """The row under an id whose place is its scenario's own.
-
-    Ids name the kind of a generated scenario where those of recordings name the place. Kinds are no
-    places: each scenario has a road, a cast and traffic drawn for it alone.
-    """
-    return replace(row, scenario=row.scenario.replace("-", "_", 1))
 
 
 def collisions_by_scenario(rows: Sequence[Score]) -> FloatArray:

@@ -5,11 +5,10 @@ python results/suite/paper_table.py      # writes paper_table.md
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from dosplan.results.intervals import metric_interval
+from dosplan.results.intervals import metric_interval, one_place_each
 from dosplan.results.markdown import markdown
 from dosplan.results.rows import read_rows
 from dosplan.scoring.metrics import find_metric
@@ -63,7 +62,7 @@ def main() -> None:
     for label, folder in RUNS.items():
         rows = read_rows(RESULTS / folder / "scenarios.jsonl")
         if "fresh" in folder:  # As in the proof, each of its scenarios is a place of its own.
-            rows = [replace(row, scenario=row.scenario.replace("-", "_", 1)) for row in rows]
+            rows = [one_place_each(row) for row in rows]
         for arm, word in ((Arm.WITHOUT_DOS, "without"), (Arm.WITH_DOS, "with")):
             mine = [row for row in rows if row.arm is arm]
             name = label if arm is Arm.WITHOUT_DOS else ""

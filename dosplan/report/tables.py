@@ -18,11 +18,11 @@ from dosplan.results.markdown import (
     comparison_cells,
     comparison_note,
     comparison_title,
-    difference_lines,
     folded,
     parted,
     scenario_count,
     summary_cells,
+    summary_notes,
     summary_title,
 )
 from dosplan.results.summary import Summary
@@ -41,12 +41,12 @@ def summary_tables(summary: Summary) -> RenderableType:
         summary: The summary of a run.
 
     Returns:
-        The paper's columns, the further ones, a line on the paired difference where both arms ran,
-        and what is unusable.
+        The figures in one table with a section for each group of metrics, how to read the
+        differences where both arms ran, and what is unusable.
     """
-    tables = [table(*cells) for cells in summary_cells(summary)]
-    lines = [*difference_lines(summary), *unusable_lines(summary.unusable, scenario_count(summary))]
-    return Group(Prose(summary_title(summary)), *tables, *map(Prose, lines))
+    figures = _Figures(summary_cells(summary))
+    lines = [*summary_notes(summary), *unusable_lines(summary.unusable, scenario_count(summary))]
+    return Group(Prose(summary_title(summary)), figures, *map(Prose, lines))
 
 
 def error_lines(rows: Iterable[Score]) -> list[str]:
@@ -141,26 +141,29 @@ def table(
         The table.
     """
     cells = (list(headings), [list(row) for row in rows])
-    return _Figures(cells, names) if numbers else _built(cells, numbers)
+    return _Figures([cells], names) if numbers else _built([cells], numbers=False)
 
 
 class _Figures:
     """Figures in as many tables as it takes for the lines not to be too long."""
 
-    def __init__(self, cells: Cells, names: int) -> None:
-        self._cells, self._names = cells, names
+    def __init__(self, sections: Sequence[Cells], names: int = 1) -> None:
+        self._sections, self._names = sections, names
 
     def __rich_console__(self, _: Console, options: ConsoleOptions) -> RenderResult:
         width = min(options.max_width, LINE) - 1
-        for part in parted(self._cells, width, gap=3, names=self._names):
-            yield _built(part, numbers=True)
+        for part in parted(self._sections, width, gap=3, names=self._names):
+            yield _built(part)
 
 
-def _built(cells: Cells, numbers: bool) -> Table:
+def _built(sections: Sequence[Cells], numbers: bool = True) -> Table:
     built = Table(box=box.SIMPLE_HEAD)
-    headings, rows = cells
-    for index, heading in enumerate(headings):
+    for index, heading in enumerate(sections[0][0]):
         built.add_column(heading, justify="right" if numbers and index > 0 else "left")
-    for row in rows:
-        built.add_row(*row)
+    for index, ((title, *_), rows) in enumerate(sections):
+        if index:
+            built.add_row()
+            built.add_row(Text(title, style="table.header"))
+        for row in rows:
+            built.add_row(*row)
     return built

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from statistics import NormalDist
 from typing import Final, NamedTuple
 
@@ -171,21 +170,6 @@ def independent_groups(scenarios: Sequence[str]) -> list[str]:
     """
     places = [place_of(scenario) for scenario in scenarios]
     return places if len(set(places)) > 1 else list(scenarios)
-
-
-def one_place_each(row: Score) -> Score:
-    """The row under an id whose place is its scenario's own.
-
-    Ids name the kind of a generated scenario where those of recordings name the place. Kinds are no
-    places: each scenario has a road, a cast and traffic drawn for it alone.
-
-    Args:
-        row: A row of a generated scenario.
-
-    Returns:
-        The same with another id.
-    """
-    return replace(row, scenario=row.scenario.replace("-", "_", 1))
 
 
 def sums_over(values: FloatArray, groups: Sequence[str]) -> FloatArray:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from textwrap import TextWrapper
 from typing import Final
 
 from dosplan.results.comparison import Comparison
 from dosplan.results.paired import Difference
-from dosplan.results.summary import ArmSummary, Summary
+from dosplan.results.summary import Summary
 from dosplan.results.unusable import unusable_title
 from dosplan.scoring import metrics
 from dosplan.scoring.metrics import Group, Metric, find_metric
@@ -50,11 +50,11 @@ def folded(text: str, width: int = LINE, indent: str = "") -> str:
     return "\n".join(map(fold, text.split("\n")))
 
 
-def parted(cells: Cells, width: int, gap: int, names: int = 1) -> list[Cells]:
+def parted(sections: Sequence[Cells], width: int, gap: int, names: int = 1) -> list[list[Cells]]:
     """Parts a table that has no room in a line; each part has the columns that name the rows.
 
     Args:
-        cells: The table.
+        sections: The table, in sections of the same columns.
         width: Characters of a line, at most.
         gap: How many of them a column takes beside its cells.
         names: How many columns name the rows.
@@ -63,11 +63,11 @@ def parted(cells: Cells, width: int, gap: int, names: int = 1) -> list[Cells]:
         Tables with some of the columns each; the table itself where the names alone leave no room
         for one.
     """
-    headings, rows = cells
-    widths = [max(map(len, column)) + gap for column in zip(headings, *rows, strict=True)]
+    lines = (line for headings, rows in sections for line in (headings, *rows))
+    widths = [max(map(len, column)) + gap for column in zip(*lines, strict=True)]
     room = width - sum(widths[:names])
     if max(widths[names:], default=0) > room:
-        return [cells]
+        return [list(sections)]
     parts: list[list[int]] = [[]]
     left = room
     for column in range(names, len(widths)):
@@ -78,7 +78,11 @@ def parted(cells: Cells, width: int, gap: int, names: int = 1) -> list[Cells]:
         left -= widths[column]
     columns = [[*range(names), *part] for part in parts]
     return [
-        ([headings[c] for c in own], [[row[c] for c in own] for row in rows]) for own in columns
+        [
+            ([headings[c] for c in own], [[row[c] for c in own] for row in rows])
+            for headings, rows in sections
+        ]
+        for own in columns
     ]
 
 
@@ -109,8 +113,8 @@ def aligned(cells: Cells, numbers: bool = True, names: int = 1) -> str:
         The table's lines.
     """
     gap = 2
-    parts = parted(cells, LINE + gap, gap, names)
-    return "\n\n".join(_aligned(*part, numbers) for part in parts)
+    parts = parted([cells], LINE + gap, gap, names)
+    return "\n\n".join(_aligned(*part, numbers) for (part,) in parts)
 
 
 def _aligned(headings: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool) -> str:
@@ -137,7 +141,7 @@ def summary_markdown(summary: Summary) -> str:
     """
     blocks = [f"# {summary_title(summary)}"]
     blocks += [markdown(*cells) for cells in summary_cells(summary)]
-    blocks += difference_lines(summary)
+    blocks += summary_notes(summary)
     if summary.unusable:
         blocks.append(f"{unusable_title(summary.unusable, scenario_count(summary))}:")
         blocks.append("\n".join(f"- `{x.file}`: {escaped(x.reason)}" for x in summary.unusable))
@@ -151,46 +155,57 @@ def summary_cells(summary: Summary) -> list[Cells]:
         summary: The summary of a run.
 
     Returns:
-        The tables, each with a row for each arm that ran; that of the solver only where a figure is
-        not zero, as planners without a solver have none, and of the rules and costs those that
-        have a figure. The first counts the episodes, and those of them that are usable where some
-        are not.
+        The tables, which have the same columns: the arms that ran and, where both did, their
+        difference. They have a row for each metric; that of the solver only where a figure is not
+        zero, as planners without a solver have none, and of the rules and costs those that have a
+        figure. The first counts the episodes, and those of them that are usable where some are not.
     """
-    arms = {ARM_TITLES[arm]: figures for arm, figures in summary.arms.items()}
-    tables = []
+    arms = {arm: summary.arms[arm] for arm in ARMS_SIDE_BY_SIDE if arm in summary.arms}
+    paired = summary.comparison
+    columns = [*(ARM_TITLES[arm] for arm in arms), *([] if paired is None else _DIFFERENCE)]
+    tables: list[Cells] = []
     for group in Group:
-        columns = [
-            metric
-            for metric in metrics.METRICS
-            if metric.group is group
-            and not (group in _WHERE_KNOWN and _is_unknown(metric, arms.values()))
-        ]
-        found = [figures.get(metric.key) for metric in columns for figures in arms.values()]
-        if not columns or (group is Group.SOLVER and not any(found)):
+        rows = []
+        found = [metric for metric in metrics.METRICS if metric.group is group]
+        for metric in found:
+            figures = [arm.get(metric.key) for arm in arms.values()]
+            if group in _WHERE_KNOWN and all(figure is None for figure in figures):
+                continue
+            rows.append([metric.heading, *map(metric.shown, figures)])
+            if paired is not None:
+                rows[-1] += _difference_cells(metric, paired)
+        if group is Group.SOLVER and not any(
+            arm.get(metric.key) for metric in found for arm in arms.values()
+        ):
             continue
-        last = []
         if group is Group.MAIN:
-            left_out = any(figures["usable"] != figures["n"] for figures in arms.values())
-            last = ["n", "usable"] if left_out else ["n"]
-        headings = ["Arm", *(metric.heading for metric in columns), *last]
-        rows = [
-            [
-                title,
-                *(metric.shown(figures.get(metric.key)) for metric in columns),
-                *(str(figures[key]) for key in last),
-            ]
-            for title, figures in arms.items()
-        ]
-        tables.append((headings, rows))
+            counts = ["n"]
+            if any(arm["usable"] != arm["n"] for arm in arms.values()):
+                counts.append("usable")
+            blank = [""] * (len(columns) - len(arms))
+            rows += [[key, *(str(arm[key]) for arm in arms.values()), *blank] for key in counts]
+        if rows:
+            tables.append(([group.heading, *columns], rows))
     return tables
+
+
+_DIFFERENCE: Final = ("difference", "95 % interval", "p")
+
+
+def _difference_cells(metric: Metric, comparison: Comparison) -> list[str]:
+    """The difference of a figure that is a mean of the episodes, its interval and p."""
+    found = comparison.differences.get(metric.name)
+    if found is None or not metric.aggregate.is_mean:
+        return ["-"] * len(_DIFFERENCE)
+    return [
+        metric.shown(found.difference, "+"),
+        interval_text(metric, found),
+        _p_text(found.p),
+    ]
 
 
 _WHERE_KNOWN: Final = frozenset({Group.RULES, Group.NUPLAN, Group.COMMONROAD})
 """Tables that leave out what has no figure: not every map has lights, signs or markings."""
-
-
-def _is_unknown(metric: Metric, arms: Iterable[ArmSummary]) -> bool:
-    return all(figures.get(metric.key) is None for figures in arms)
 
 
 def scenario_count(summary: Summary) -> int:
@@ -242,30 +257,24 @@ def unranked_reason(reproducible: bool) -> str:
     return "it depends on the time that plans took, so the run cannot be repeated"
 
 
-def difference_lines(summary: Summary) -> list[str]:
-    """Describes the difference between the arms.
+def summary_notes(summary: Summary) -> list[str]:
+    """Says how the differences of a summary are to be read.
 
     Args:
         summary: The summary of a run.
 
     Returns:
-        Lines on success, on collisions, and on what so many pairs would show; none where one arm
-        ran or nothing is usable.
+        Over what they are, and what so many pairs show; none where one arm ran or nothing is
+        usable.
     """
     comparison = summary.comparison
-    if comparison is None or "success" not in comparison.differences:
+    if comparison is None or not comparison.scenarios:
         return []
-    lines = []
-    for name, size in (("success", f", {size_text(comparison)}"), ("collision", "")):
-        metric, found = find_metric(name), comparison.differences.get(name)
-        if found is None:  # An older file need not have it.
-            continue
-        lines.append(
-            f"{metric.short}, with DOS minus without: {metric.shown(found.difference, '+')} points "
-            f"(95 % interval {interval_text(metric, found)}; "
-            f"{test_name(comparison)} p = {found.p:.3g}{size})"
-        )
-    return [*lines, power_line(comparison)] if comparison.scenarios else lines
+    return [
+        "Difference: with DOS minus without, over the pairs in which both have a figure; "
+        f"{size_text(comparison)}. {tests_text(comparison)}",
+        power_line(comparison),
+    ]
 
 
 def power_line(comparison: Comparison) -> str:
@@ -293,6 +302,12 @@ def power_line(comparison: Comparison) -> str:
 def test_name(comparison: Comparison) -> str:
     """Names the test of shares; the sign-flip test of single pairs has a name of its own."""
     return "McNemar" if comparison.futures == 1 else "sign-flip"
+
+
+def tests_text(comparison: Comparison) -> str:
+    """Names the tests behind the p of a comparison."""
+    name = test_name(comparison)
+    return f"p of a share: exact {name} test over scenarios; of a mean: t test over places."
 
 
 def size_text(comparison: Comparison) -> str:
@@ -403,9 +418,8 @@ def change_cells(comparison: Comparison) -> Cells:
 def comparison_note(comparison: Comparison) -> str:
     """Says how intervals and tests of a comparison are to be read, and what its pairs show."""
     note = (
-        "Intervals take into account that several scenarios are of one place. p of a share: exact "
-        f"{test_name(comparison)} test over scenarios, and below sign-flip test over places; of a "
-        "mean: t test over places."
+        "Intervals take into account that several scenarios are of one place. "
+        f"{tests_text(comparison)} Shares have the sign-flip test over places below."
     )
     return f"{note}\n{power_line(comparison)}"
 

@@ -48,6 +48,11 @@ class Aggregate(StrEnum):
         """Which percentile of the cycle times it is, or None where it is not about cycles."""
         return {Aggregate.CYCLES_P50: 50.0, Aggregate.CYCLES_P99: 99.0}.get(self)
 
+    @property
+    def is_mean(self) -> bool:
+        """Whether it is a mean over the episodes, as the difference of two arms is."""
+        return self in (Aggregate.SHARE, Aggregate.MEAN)
+
 
 class Better(StrEnum):
     """Which way is better."""
@@ -68,6 +73,23 @@ class Group(StrEnum):
     COMFORT = "comfort"
     COMMONROAD = "commonroad"
     SOLVER = "solver"
+
+    @property
+    def heading(self) -> str:
+        """Heading of the table."""
+        return _HEADINGS[self]
+
+
+_HEADINGS: Final = {
+    Group.MAIN: "Main figures",
+    Group.OUTCOME: "Outcomes",
+    Group.RULES: "Rules of the road",
+    Group.NUPLAN: "nuPlan's score",
+    Group.RIDE: "Ride",
+    Group.COMFORT: "Largest of a drive",
+    Group.COMMONROAD: "CommonRoad's costs",
+    Group.SOLVER: "Planner",
+}
 
 
 @dataclass(frozen=True)

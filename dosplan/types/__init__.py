@@ -73,6 +73,7 @@ from dosplan.types.scenario import (
     StopCause,
     Tracks,
     place_of,
+    scene_of,
 )
 from dosplan.types.score import CollisionClass, Measure, Outcome, Score
 
@@ -133,4 +134,5 @@ __all__ = [
     "TrafficLight",
     "TrafficSign",
     "place_of",
+    "scene_of",
 ]

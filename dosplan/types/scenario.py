@@ -293,14 +293,31 @@ class Scenario:
         return any(tracks is recording for recording in (self.tracks, *self.futures))
 
 
-def place_of(scenario_id: str) -> str:
-    """Names the place of a scenario, by its id.
+def scene_of(scenario_id: str) -> str:
+    """Names the scene of a scenario, by its id: ``COUNTRY_SCENE-MAP_CONFIGURATION_...``.
 
     Args:
         scenario_id: Id, such as ``USA_Lanker-2_25_T-1``.
 
     Returns:
-        Country and map name, such as ``USA_Lanker``: what stands before the first hyphen, without
-        the ``C-`` of a cooperative scenario.
+        Country and scene, such as ``USA_Lanker``, without the ``C-`` of a cooperative scenario.
     """
     return scenario_id.removeprefix("C-").partition("-")[0]
+
+
+def place_of(scenario_id: str) -> str:
+    """Names the place of a scenario, by its id.
+
+    Maps of a real scene are cut from one place. CommonRoad's imaginary country, ``ZAM``, has no
+    places: there a scene is a kind of road, and each of its maps is another road.
+
+    Args:
+        scenario_id: Id, such as ``USA_Lanker-2_25_T-1`` or ``ZAM_Zebra-3_1_T-1``.
+
+    Returns:
+        The scene; with the map where the country is imaginary, as ``ZAM_Zebra-3``.
+    """
+    scene = scene_of(scenario_id)
+    if not scene.startswith("ZAM_"):
+        return scene
+    return "_".join(scenario_id.removeprefix("C-").split("_")[:2])

@@ -19,7 +19,6 @@ from typing import Final
 import numpy as np
 
 from dosplan.results.comparison import compare_rows
-from dosplan.results.intervals import one_place_each
 from dosplan.results.markdown import markdown
 from dosplan.results.paired import Difference, sign_flip_p
 from dosplan.results.rows import read_run
@@ -154,8 +153,6 @@ def judge_cell(scenarios: str, traffic: str, loop: str, rows: Sequence[Score]) -
     Returns:
         The cell.
     """
-    if scenarios == "fresh":
-        rows = [one_place_each(row) for row in rows]
     found = compare_rows(arm_rows(rows, Arm.WITHOUT_DOS), arm_rows(rows, Arm.WITH_DOS))
     counts = collisions_by_scenario(rows)
     without, with_sets = (int(total) for total in counts.sum(axis=0))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
-from dosplan.results.intervals import metric_interval, one_place_each
+from dosplan.results.intervals import metric_interval
 from dosplan.results.markdown import markdown
 from dosplan.results.rows import read_rows
 from dosplan.scoring.metrics import find_metric
@@ -21,14 +21,17 @@ PAPER: Final = (
     ["", "with", "150", "94.7", "5.3", "0.0", "5.71"],
 )
 RUNS: Final = {
-    "[suite](README.md), ideal loop": "suite",
+    "suite, two futures each, ideal loop": "suite",
     "[suite-1](../suite-1/README.md), ideal loop": "suite-1",
     "[recorded](../recorded/README.md), ideal loop": "recorded",
     **{
-        f"[{shown}](../proof/README.md), {world}": f"proof/runs/loop={loop},{kept}"
+        f"{shown}, {world}": f"proof/runs/loop={loop},{kept}"
         for shown, kept in (
-            ("fresh suite", "scenarios=fresh,traffic=replay"),
-            ("recorded", "scenarios=bench,traffic=replay"),
+            (
+                "[fresh suite](../proof/README.md), five futures each",
+                "scenarios=fresh,traffic=replay",
+            ),
+            ("[recorded](../proof/README.md)", "scenarios=bench,traffic=replay"),
         )
         for world, loop in (("0.3 s late", "late"), ("realistic loop", "realistic"))
     },
@@ -61,8 +64,6 @@ def main() -> None:
     lines = list(PAPER)
     for label, folder in RUNS.items():
         rows = read_rows(RESULTS / folder / "scenarios.jsonl")
-        if "fresh" in folder:  # As in the proof, each of its scenarios is a place of its own.
-            rows = [one_place_each(row) for row in rows]
         for arm, word in ((Arm.WITHOUT_DOS, "without"), (Arm.WITH_DOS, "with")):
             mine = [row for row in rows if row.arm is arm]
             name = label if arm is Arm.WITHOUT_DOS else ""

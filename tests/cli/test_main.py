@@ -113,7 +113,7 @@ def test_run_writes_the_promised_names(finished: tuple[Path, Path]) -> None:
         assert summary[arm]["n"] == 2
         assert summary[arm]["success_rate"] == summary[arm]["goal_missed_rate"] == 0.5
         assert summary[arm]["velocity"] == pytest.approx(10.0)
-    assert "| with DOS | 50.0 | 0.0 | 0.0 | 10.00 | 2 |" in (out / "summary.md").read_text()
+    assert "| Success % | 50.0 | 50.0 | +0.0 |" in (out / "summary.md").read_text()
 
 
 def test_run_prints_the_table_of_a_finished_run(
@@ -125,7 +125,7 @@ def test_run_prints_the_table_of_a_finished_run(
     assert "coast-v1 with still-v1" in captured.out
     for heading in ("Success %", "Collision %", "Out of bounds %", "Velocity m/s", "Safe %"):
         assert heading in captured.out
-    assert "Success, with DOS minus without: +0.0 points" in captured.out
+    assert "Difference: with DOS minus without" in captured.out
     line, *_ = captured.err.splitlines()
     assert line.startswith("4 of 4 episodes; with DOS: 2 of 2, success 50.0 %, collisions 0, ")
 
@@ -441,15 +441,15 @@ def test_compare_shows_and_writes_the_same_figures(
     assert main(["compare", str(out), "--json", str(path)]) == cli.OK
     shown = capsys.readouterr().out
     assert "McNemar" in shown
-    assert "n = 2, places = 1" in shown
+    assert "n = 2, places = 2" in shown
     assert "No outcome differs." in shown
     (comparison,) = read_json(path)["comparisons"]
     assert comparison["n"] == 2
-    assert comparison["places"] == 1
+    assert comparison["places"] == 2
     # Without a pair that differs the score interval of two pairs ends at z^2 / (2 + z^2).
     bound = 3.8414588 / 5.8414588
     assert comparison["success"] == {
-        "n": 2, "places": 1, "a": 0.5, "b": 0.5, "difference": 0.0, "low": pytest.approx(-bound),
+        "n": 2, "places": 2, "a": 0.5, "b": 0.5, "difference": 0.0, "low": pytest.approx(-bound),
         "high": pytest.approx(bound), "only_a": 0, "only_b": 0, "p": 1.0, "p_places": 1.0,
     }  # fmt: skip
 

@@ -51,12 +51,12 @@ def test_a_comparison_prints_as_text_below_100_characters(summary: Summary) -> N
 
 def test_columns_without_room_go_below_with_the_names_of_the_rows() -> None:
     cells = (["run", "a", "b", "c"], [["one", "1111", "2222", "3333"]])
-    assert parted(cells, width=22, gap=2) == [
-        (["run", "a", "b"], [["one", "1111", "2222"]]),
-        (["run", "c"], [["one", "3333"]]),
+    assert parted([cells], width=22, gap=2) == [
+        [(["run", "a", "b"], [["one", "1111", "2222"]])],
+        [(["run", "c"], [["one", "3333"]])],
     ]
-    assert parted(cells, width=23, gap=2) == [cells]
-    assert parted(cells, width=8, gap=2) == [cells]  # The names leave no room for any column.
+    assert parted([cells], width=23, gap=2) == [[cells]]
+    assert parted([cells], width=8, gap=2) == [[cells]]  # The names leave no room for any column.
     assert [line.split() for line in _lines(table(*cells), 24) if "1" in line or "3" in line] == [
         ["one", "1111", "2222"],
         ["one", "3333"],

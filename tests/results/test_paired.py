@@ -200,7 +200,7 @@ def test_futures_of_one_scenario_do_not_count_as_so_many_scenarios() -> None:
 def test_places_and_scenarios_are_two_tests() -> None:
     # Six scenarios of two places differ, all to the better; so of the scenarios 2 / 2^6, of the
     # places 2 / 2^2. The third place does not differ.
-    scenarios = [f"ZAM_{place}-{i}_1_T-1" for place in "ABC" for i in range(3)]
+    scenarios = [f"USA_{place}-{i}_1_T-1" for place in "ABC" for i in range(3)]
     b = np.array([1.0] * 6 + [0.0] * 3)
     found = share_difference(np.zeros(9), b, scenarios)
     assert found.places == 3

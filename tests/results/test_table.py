@@ -37,7 +37,7 @@ def _run(
 ) -> Path:
     """Writes a run; the outcomes are those of the arm with sets, without them all succeed."""
     count = len(outcomes) // futures
-    scenarios = [f"ZAM_P{i % 3}-{i}_1_T-1" for i in range(count)]
+    scenarios = [f"USA_P{i % 3}-{i}_1_T-1" for i in range(count)]
     write_json(
         path / "run.json",
         {

@@ -12,9 +12,11 @@ from dosplan.types import place_of
     [
         ("USA_Lanker-2_25_T-1", "USA_Lanker"),
         ("C-USA_US101-1_1_T-1", "USA_US101"),
-        ("ZAM_Test-1_1_T-1@7", "ZAM_Test"),
+        ("ZAM_Test-1_1_T-1@7", "ZAM_Test-1"),
+        ("C-ZAM_Zebra-12_2_T-1", "ZAM_Zebra-12"),
+        ("ZAM_Test", "ZAM_Test"),
         ("unnamed", "unnamed"),
     ],
 )
-def test_the_place_is_what_stands_before_the_map_number(scenario: str, place: str) -> None:
+def test_a_place_is_a_scene_or_the_map_of_an_imaginary_one(scenario: str, place: str) -> None:
     assert place_of(scenario) == place

@@ -11,7 +11,7 @@ from typing import Final
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
 from dosplan.scenario.sources.catalogue import Source, suite_kinds
 from dosplan.scenario.sources.fetch import SUITES
-from dosplan.types import Scenario, place_of
+from dosplan.types import Scenario, scene_of
 
 ROAD_TAGS: Final = (
     "roundabout",
@@ -104,12 +104,12 @@ def families(scenarios: Sequence[str]) -> dict[str, str]:
         scenarios: Ids, such as ``USA_Lanker-2_25_T-1``.
 
     Returns:
-        For each id its place (``USA_Lanker``), or its country (``USA``) where the place has fewer
+        For each id its scene (``USA_Lanker``), or its country (``USA``) where the scene has fewer
         than ``SMALLEST_FAMILY`` scenarios.
     """
-    places = {scenario: place_of(scenario) for scenario in scenarios}
-    sizes = Counter(places.values())
+    scenes = {scenario: scene_of(scenario) for scenario in scenarios}
+    sizes = Counter(scenes.values())
     return {
-        scenario: place if sizes[place] >= SMALLEST_FAMILY else place.partition("_")[0]
-        for scenario, place in places.items()
+        scenario: scene if sizes[scene] >= SMALLEST_FAMILY else scene.partition("_")[0]
+        for scenario, scene in scenes.items()
     }

@@ -151,7 +151,9 @@ def compare_rows(
         raise CompareError(f"{name_a} and {name_b} hold no scenario")
     every = [(row, others[row.scenario_future]) for row in a]
     pairs = [pair for pair in every if all(row.outcome.of_planner for row in pair)]
-    found = {metric.name: _compare(metric, pairs) for metric in metrics.METRICS}
+    # What is largest over all episodes is no mean, whose difference pairs would tell.
+    means = (metric for metric in metrics.METRICS if metric.aggregate.is_mean)
+    found = {metric.name: _compare(metric, pairs) for metric in means}
     return Comparison(
         a=name_a,
         b=name_b,

@@ -193,9 +193,9 @@ _DIFFERENCE: Final = ("difference", "95 % interval", "p")
 
 
 def _difference_cells(metric: Metric, comparison: Comparison) -> list[str]:
-    """The difference of a figure that is a mean of the episodes, its interval and p."""
+    """The difference of a figure, its interval and p."""
     found = comparison.differences.get(metric.name)
-    if found is None or not metric.aggregate.is_mean:
+    if found is None:
         return ["-"] * len(_DIFFERENCE)
     return [
         metric.shown(found.difference, "+"),

@@ -150,8 +150,8 @@ def draw(table: Table, colours: Mapping[str, str] = _NONE) -> Figure:
             if find_metric(across).is_share:
                 axes.set_xlim(right=min(axes.get_xlim()[1], 101.0))
             axes.text(
-                *(0.015, 0.97), "better: \N{SOUTH EAST ARROW}", transform=axes.transAxes,
-                ha="left", va="top", color=FAINT, fontsize=7,
+                *(1.0, 1.01), "better: \N{SOUTH EAST ARROW}", transform=axes.transAxes,
+                ha="right", va="bottom", color=FAINT, fontsize=7,
             )  # fmt: skip
             axes.set_xlabel(x_title if up == _UP[-1][0] else "")
             axes.set_ylabel(y_title if across == _ACROSS[0][0] else "")

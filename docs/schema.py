@@ -68,7 +68,8 @@ times are over the planning cycles of all episodes pooled.
 
 Arms and runs are compared scenario by scenario, and future by future where a run has several:
 shares as paired proportions (Tango's score interval, an exact sign-flip test), all else by the mean
-of the differences within the pairs (t interval and t test). Intervals, and the test of means, take
+of the differences within the pairs (t interval and t test). What is largest over an arm, and cycle
+times, have no difference. Intervals, and the test of means, take
 into account that several futures are of one scenario and several scenarios of one place: of one
 scene, as `USA_Lanker`, or of one map where the country is imaginary, as `ZAM_Zebra-3`. A share
 has two p values: `p` takes scenarios as independent, and with one future each it is McNemar's exact

@@ -33,7 +33,7 @@ examples:
   dosplan run --only roundabout --only highway   by a part of the id, a tag or a kind
   dosplan run --sample 20 --out runs/s           20 by lot; with 50 then, 30 are driven besides
   dosplan run scenarios.zip --solutions          a CommonRoad solution for each drive, too
-  dosplan run --set predictor.coverage=0.9 --set predictor.sets=free
+  dosplan run --set predictor.coverage=0.8 --set predictor.sets=free
   dosplan run --predictor dos --set predictor.base=constant-velocity
   dosplan run --predictor ground-truth --unranked
   dosplan run my/interactive --traffic sumo      SUMO drives the others, who see the ego

@@ -63,7 +63,8 @@ class Comparison:
         unusable: Number of pairs that are left out, since they are unusable, or the traffic failed,
             on a side.
         differences: The difference of each metric by its name, over the pairs in which both
-            sides have a value; a metric is left out where there is none.
+            sides have a value; a metric is left out where there is none, as of what is largest
+            over a run and of cycle times.
         changes: Scenarios and futures whose outcome differs, in the run's order.
     """
 

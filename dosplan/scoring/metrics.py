@@ -603,8 +603,7 @@ METRICS: tuple[Metric, ...] = (
         title="Cycle time (median)",
         short="Cycle p50",
         unit="ms",
-        definition="median time of a planning cycle, predict and plan; arms are compared by the "
-        "medians of the episodes",
+        definition="median time of a planning cycle, predict and plan",
         aggregate=Aggregate.CYCLES_P50,
         group=Group.RIDE,
         better=Better.LOWER,
@@ -616,8 +615,7 @@ METRICS: tuple[Metric, ...] = (
         title="Cycle time (99th percentile)",
         short="Cycle p99",
         unit="ms",
-        definition="99th percentile of the time of a planning cycle; arms are compared by the "
-        "percentiles of the episodes",
+        definition="99th percentile of the time of a planning cycle",
         aggregate=Aggregate.CYCLES_P99,
         group=Group.RIDE,
         better=Better.LOWER,

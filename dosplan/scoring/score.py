@@ -2,20 +2,20 @@
 
 Definitions
 -----------
-- **Two arms.** Same predictor, same planner, same NLP, same scenarios, same seed. *With DOS*: a
-  road user's forbidden set at step t is its DOS ellipse, widened by its own footprint and by the
-  ego's covering discs. *Without DOS*: the same with semi-axes zero, so the predicted position
-  alone, with its footprint, counts. No `if` in the planner: the arms differ in the `Occupancy`
-  they are handed.
+- **Two arms.** Same predictor, same planner and settings, same scenarios, same seed. *With DOS*: a
+  road user's centre may be anywhere in its set at step t; `mpc` keeps out of the set, widened by
+  the road user's footprint and by the discs that cover the ego. *Without DOS*: the same with
+  semi-axes of zero, so the predicted position alone, with its footprint, counts. No `if` in the
+  planner: the arms differ in the `Occupancy` they are handed.
 - **World** of a run: who else is on the road (`--traffic`), the ego's loop (`--loop`) and how many
   futures of each past are driven (`--futures`). Without these it is recorded traffic that does not
   react, the ideal loop and one future, the recorded one. Rows name it, a run keeps to one, and
   `dosplan compare` says where two runs differ in traffic or loop.
-- **Outcome**, one per scenario, first that applies: `collision` (exact overlap of the ego's
+- **Outcome**, one per episode, the first that applies: `collision` (exact overlap of the ego's
   rectangle with a road user's shape at the same step; also swept between steps), `out_of_bounds`
   (part of the ego's rectangle outside the drivable area), `planner_failure` (exception, time-out,
-  no plan and no fallback), `goal_missed`, `success`. The denominator is the manifest without
-  what is unusable or failed by the traffic: an episode that crashed is a row with its traceback.
+  no plan and no fallback), `goal_missed`, `success`. The denominator is all episodes of the
+  run but those that are unusable or in which the traffic failed: one that crashed counts.
   The paper counts success = neither collision nor out-of-bounds: report that as `safe` beside
   `success`. An episode that failed was not driven to its end and is not called safe.
 - **Unusable**: what nobody could drive (unreadable, no goal, the start inside a road user or off
@@ -43,13 +43,14 @@ Definitions
 - **Fault** of a collision: nuPlan's classes; and where road users react, the ego is also to blame
   for being struck from behind if its entry into the follower's way asked more than 5 m/s2 of the
   follower. Report collision rate and at-fault collision rate.
-- **Velocity**: mean ego speed over the steps driven, m/s, averaged over scenarios. Progress,
+- **Velocity**: mean ego speed over the steps driven, m/s, averaged over episodes. Progress,
   comfort, time-to-collision, cycle time p50/p99 beside it.
 - **CR_t** share of road users whose true centre at horizon t lies inside the set; **OSA_t** mean
   area, m2, pi/4 · l · w with l, w the full axes, and of a union of ellipses what they cover
   together; at 1, 2, 3, 4 s; masked where the recording ends.
   Beside them `OSA@90`: area when each method's sets are scaled by one factor per horizon to cover
-  exactly 90 % on validation data: the fair comparison. ADE and FDE are of the most likely
+  exactly 90 % on other recordings (`--scale-on`), or else on those that are evaluated: the fair
+  comparison. ADE and FDE are of the most likely
   component; `min_ade` and `min_fde` of the best one.
 - Scoring never uses the planner's own ellipses or discs; the planner never sees what scoring uses.
 

@@ -124,12 +124,11 @@ class RunCommand:
             print(f"dosplan: interrupted; {hint}", file=sys.stderr)
             return INTERRUPTED
         summary = read_summary(folder)
-        report = _report_line(folder.path)
-        show(
-            [summary_tables(summary), f"results in {folder.path}", report],
-            summary.content,
-            options.json,
-        )
+        report = _report(folder.path)
+        parts = [summary_tables(summary), f"results in {folder.path}"]
+        if report is not None:
+            parts.append(f"report in {report}")
+        show(parts, summary.content, options.json)
         for line in error_lines(read_rows(folder.rows)):
             print(line, file=sys.stderr)
         failed = any(
@@ -139,15 +138,17 @@ class RunCommand:
         return FAILED if failed else OK
 
 
-def _report_line(folder: Path) -> str:
-    """Writes the report, and says where it is; a report that fails does not fail the run."""
+def _report(folder: Path) -> Path | None:
+    """Writes the report; None where that fails, which does not fail the run."""
     try:
         from dosplan.report.html.write import write_report
 
-        return f"report in {write_report(folder)}"
+        return write_report(folder)
     except Exception as error:  # Whatever it is: the run itself is complete and written.
         reason = " ".join(f"{type(error).__name__}: {error}".split())
-        return f"no report ({reason}); to try again: dosplan report {shlex.quote(str(folder))}"
+        again = f"dosplan report {shlex.quote(str(folder))}"
+        print(f"no report ({reason}); to try again: {again}", file=sys.stderr)
+        return None
 
 
 def _add_what_to_drive(parser: argparse.ArgumentParser) -> None:

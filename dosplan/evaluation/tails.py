@@ -16,19 +16,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from dosplan.evaluation.kept_sets import KeptSets
-from dosplan.results.drive import Drive, find_drives
+from dosplan.results.drive import Drive, DrivenScenarios, find_recording
+from dosplan.results.folder import RunFolder
 from dosplan.results.intervals import Interval, share_interval
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_run
 from dosplan.system.files import FileError
 from dosplan.system.provenance import describe_environment
-from dosplan.types import STEP_SECONDS, Arm, BoolArray, FloatArray, IntArray, Tracks
+from dosplan.types import STEP_SECONDS, Arm, BoolArray, FloatArray, IntArray, Scenario, Tracks
 
 NEAR: Final = 20.0
 """m between the centres of ego and road user at the step that is compared."""
@@ -143,15 +145,20 @@ def evaluate_drives(
     """
     manifest, rows = read_run(path)
     driven = [row for row in rows if row.arm is Arm.WITH_DOS]
-    scenarios = list(dict.fromkeys(row.scenario for row in driven))
+    folder, scenes = RunFolder(path), DrivenScenarios(manifest, source)
+    by_scenario = {name: list(of) for name, of in groupby(driven, key=lambda row: row.scenario)}
     parts: list[Comparisons] = []
     of: list[str] = []
     struck: list[dict[str, Any]] = []
-    progress(0, len(scenarios))
-    for done, name in enumerate(scenarios, 1):
-        for row, drive in find_drives(path, name, (Arm.WITH_DOS,), source):
-            if drive is None:
+    progress(0, len(by_scenario))
+    for done, (name, episodes) in enumerate(by_scenario.items(), 1):
+        scene: Scenario | None = None
+        for row in episodes:
+            recording = find_recording(folder, row)
+            if recording is None:
                 continue
+            scene = scene or scenes.load(name)
+            drive = Drive(row, recording, scene)
             compared = compare_sets(drive.recording, drive.tracks, drive.ego[:, :2])
             parts.append(compared)
             of.append(name)
@@ -167,7 +174,7 @@ def evaluate_drives(
                         "inside": None if distance is None else distance <= 1.0,
                     }
                 )
-        progress(done, len(scenarios))
+        progress(done, len(by_scenario))
     if not any(len(part.ids) for part in parts):
         raise FileError(f"{path} holds no drive in which a road user had a set")
     return {

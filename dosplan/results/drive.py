@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ import shapely
 
 from dosplan.geometry import rectangle_corners
 from dosplan.results.folder import RunFolder
-from dosplan.results.manifest import read_manifest
+from dosplan.results.manifest import RunManifest, read_manifest
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_rows
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
@@ -248,15 +248,47 @@ def find_drives(
     recordings = [find_recording(folder, row) for row in rows]
     if not any(recordings):
         return [(row, None) for row in rows]
-    try:
-        scene = load_scenario(find_scenario(scenario, source or manifest.config.source))
-    except ScenarioError as error:
-        hint = "" if source else "; name where it lies now with --source"
-        raise FileError(f"{error}{hint}") from error
+    scene = DrivenScenarios(manifest, source).load(scenario)
     return [
         (row, None if recording is None else Drive(row, recording, scene))
         for row, recording in zip(rows, recordings, strict=True)
     ]
+
+
+class DrivenScenarios:
+    """The scenarios that a run drove, where they lie now; they are listed when one is needed."""
+
+    def __init__(self, manifest: RunManifest, source: Source | None = None) -> None:
+        """Looks for nothing yet.
+
+        Args:
+            manifest: The run's.
+            source: Where they lie now; where the run found them if None.
+        """
+        self._source = source or manifest.config.source
+        self._cached = manifest.config.cache
+        self._hint = "" if source else "; name where it lies now with --source"
+
+    def load(self, scenario: str) -> Scenario:
+        """Reads a scenario.
+
+        Args:
+            scenario: Its id.
+
+        Returns:
+            The scenario.
+
+        Raises:
+            FileError: It cannot be found or read.
+        """
+        try:
+            return load_scenario(_of_id(self._refs, scenario, self._source), cached=self._cached)
+        except ScenarioError as error:
+            raise FileError(f"{error}{self._hint}") from error
+
+    @cached_property
+    def _refs(self) -> dict[str, ScenarioRef]:
+        return {ref.id: ref for ref in find_scenarios(self._source)}
 
 
 def find_scenario(scenario: str, source: Source) -> ScenarioRef:
@@ -273,7 +305,10 @@ def find_scenario(scenario: str, source: Source) -> ScenarioRef:
         FileError: The source does not hold it.
         ScenarioError: There is no such source.
     """
-    refs = {ref.id: ref for ref in find_scenarios(source)}
+    return _of_id({ref.id: ref for ref in find_scenarios(source)}, scenario, source)
+
+
+def _of_id(refs: Mapping[str, ScenarioRef], scenario: str, source: Source) -> ScenarioRef:
     if scenario not in refs:
         raise FileError(
             f"{source_text(source)} holds no scenario {scenario}{did_you_mean(scenario, refs, 3)}; "

@@ -131,10 +131,9 @@ def mean_test(values: FloatArray, scenarios: Sequence[str]) -> MeanTest:
 def effective_number(values: FloatArray, scenarios: Sequence[str]) -> float:
     """Number of independent episodes that carry as much information as these.
 
-    The number of episodes over the design effect: the variance of the mean by places over that of
-    independent episodes, 1 at least. As the variance is estimated from few places only, the
-    number is also multiplied by the squared ratio of the t quantiles of ``n - 1`` and of
-    ``places - 1`` degrees of freedom (Korn, Graubard, "Confidence intervals for proportions with
+    The number of episodes over the ``design_effect`` of places. As the variance is estimated from
+    few places only, it is also multiplied by the squared ratio of the t quantiles of ``n - 1`` and
+    of ``places - 1`` degrees of freedom (Korn, Graubard, "Confidence intervals for proportions with
     small expected number of positive counts estimated from survey data", Survey Methodology 24,
     1998).
 
@@ -151,12 +150,28 @@ def effective_number(values: FloatArray, scenarios: Sequence[str]) -> float:
     n, count = len(values), len(set(groups))
     if count in (1, n):
         return float(n)
-    rest = values - values.mean()
-    sums = sums_over(rest, groups)
-    alone = n / (n - 1) * float(rest @ rest)
-    effect = count / (count - 1) * float(sums @ sums) / alone if alone > 0.0 else 1.0
     many, few = t.ppf(0.5 + 0.5 * LEVEL, [n - 1, count - 1])
-    return n / max(effect, 1.0) * float(many / few) ** 2
+    return n / design_effect(values, groups) * float(many / few) ** 2
+
+
+def design_effect(values: FloatArray, groups: Sequence[str]) -> float:
+    """How many values are as good as one of independent ones, as groups have several each.
+
+    Args:
+        values: (n,) values.
+        groups: n names of the groups they belong to, which are independent.
+
+    Returns:
+        The variance of the mean by groups over that of independent values, 1 at least; 1 where
+        all values are the same, so that nothing is known of it.
+    """
+    n, count = len(values), len(set(groups))
+    if count in (0, 1, n):
+        return 1.0
+    rest = values - values.mean()
+    alone = n / (n - 1) * float(rest @ rest)
+    sums = sums_over(rest, groups)
+    return max(count / (count - 1) * float(sums @ sums) / alone, 1.0) if alone > 0.0 else 1.0
 
 
 def independent_groups(scenarios: Sequence[str]) -> list[str]:

@@ -8,6 +8,7 @@ written by ``dosplan submit``, and is small enough to be read.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -308,7 +309,7 @@ def _check(result: ArmResult, rows: Sequence[Score], futures: int) -> None:
         told, found = result.figures.get(name), _figure(name, rows)
         if told is None or any(
             (one is None) is not (other is None)
-            or (one is not None and other is not None and abs(one - other) > _ROUNDING)
+            or (one is not None and other is not None and not abs(one - other) <= _ROUNDING)
             for one, other in zip(_ends(told), _ends(found), strict=True)
         ):
             raise ValueError(f"{name} does not follow from its episodes")
@@ -334,6 +335,8 @@ def _row(key: EpisodeKey, word: str) -> Score:
         raise ValueError(f"{word!r:.20} is no episode")
     outcome, at_fault = _LETTERS[word[0]]
     velocity = float(word[1:]) if word[1:] else 0.0
+    if not math.isfinite(velocity):
+        raise ValueError(f"{word!r:.20} is no episode")
     return replace(
         failed_score(key, ""),
         outcome=outcome,

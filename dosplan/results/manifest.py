@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from dosplan.results.folder import RunFolder
 from dosplan.system.files import FileError, read_json, write_json
@@ -78,6 +78,32 @@ class RunSettings:
     cluster: str | None = None
     cache: bool = False
     solutions: bool = False
+
+
+class _HasOptions(Protocol):
+    @property
+    def planner_options(self) -> Mapping[str, Any]: ...
+    @property
+    def predictor_options(self) -> Mapping[str, Any]: ...
+    @property
+    def traffic_options(self) -> Mapping[str, Any]: ...
+
+
+def named_options(run: _HasOptions) -> dict[str, Any]:
+    """What was set of a run's plug-ins.
+
+    Args:
+        run: What holds their options.
+
+    Returns:
+        Values by dotted names, as ``planner.deadline``.
+    """
+    plugins = {
+        "planner": run.planner_options,
+        "predictor": run.predictor_options,
+        "traffic": run.traffic_options,
+    }
+    return {f"{plugin}.{name}": v for plugin, own in plugins.items() for name, v in own.items()}
 
 
 @dataclass(frozen=True, kw_only=True)

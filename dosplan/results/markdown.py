@@ -7,6 +7,7 @@ from textwrap import TextWrapper
 from typing import Final
 
 from dosplan.results.comparison import Comparison
+from dosplan.results.manifest import named_options
 from dosplan.results.paired import Difference
 from dosplan.results.summary import Summary
 from dosplan.results.unusable import unusable_title
@@ -225,15 +226,7 @@ def summary_title(summary: Summary) -> str:
     """
     run = summary.run
     mark = "" if run.ranked else f" (unranked: {unranked_reason(run.reproducible)})"
-    options = (
-        f"{plugin}.{name}={value}"
-        for plugin, chosen in (
-            ("planner", run.planner_options),
-            ("predictor", run.predictor_options),
-            ("traffic", run.traffic_options),
-        )
-        for name, value in chosen.items()
-    )
+    options = (f"{name}={value}" for name, value in named_options(run).items())
     traffic = [] if run.traffic == "replay" else [f"traffic {run.traffic}"]
     if run.loop != "ideal":
         traffic.append(f"loop {run.loop}")

@@ -154,7 +154,8 @@ def mean_difference(a: FloatArray, b: FloatArray, scenarios: Sequence[str]) -> D
     p = None
     if n > 1:
         error, freedom = mean_test(differences, scenarios)
-        if error > 0.0:
+        # What rounding leaves of equal differences is no error.
+        if error > _TINY * float(np.abs(differences).max()):
             p = 2.0 * float(t.sf(abs(mean) / error, freedom))
         elif mean == 0.0:
             p = 1.0
@@ -199,6 +200,8 @@ def _upper_limit(first: float, second: float, n: float, z: float) -> float:
     estimate = (first - second) / n
     if estimate >= 1.0 - 2.0 * _TINY:
         return 1.0
+    if estimate <= -1.0 + 2.0 * _TINY:  # The score is -sqrt(n (1 + d) / (1 - d)) then.
+        return (z * z - n) / (z * z + n)
     return float(
         brentq(
             lambda difference: _score(difference, first, second, n) + z,

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.results.intervals import LEVEL, sums_over
+from dosplan.results.intervals import LEVEL, design_effect
 from dosplan.types import FloatArray
 
 POWER: Final = 0.8
@@ -35,26 +35,6 @@ def smallest_difference(differences: FloatArray, scenarios: Sequence[str]) -> fl
     n = len(differences)
     other = min(float(np.mean(differences > 0)), float(np.mean(differences < 0))) if n else 0.0
     return detectable_difference(int(n / design_effect(differences, scenarios)), other)
-
-
-def design_effect(values: FloatArray, scenarios: Sequence[str]) -> float:
-    """How many pairs are as good as one of independent pairs, as scenarios have several each.
-
-    Args:
-        values: (n,) value of each pair.
-        scenarios: n ids of the scenarios they are of.
-
-    Returns:
-        The variance of the mean by scenarios over that of independent pairs, 1 at least; 1 where
-        all values are the same, so that nothing is known of it.
-    """
-    n, count = len(values), len(set(scenarios))
-    if count in (0, 1, n):
-        return 1.0
-    rest = values - values.mean()
-    alone = n / (n - 1) * float(rest @ rest)
-    sums = sums_over(rest, scenarios)
-    return max(count / (count - 1) * float(sums @ sums) / alone, 1.0) if alone > 0.0 else 1.0
 
 
 def detectable_difference(n: int, other: float = 0.0) -> float | None:

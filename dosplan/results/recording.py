@@ -180,6 +180,17 @@ class Recording:
         """(C,) time of each full cycle, predict and plan, ms."""
         return 1e3 * (self.predict_seconds + self.plan_seconds)
 
+    def scored_cycle_ms(self, steps: int) -> FloatArray:
+        """Times of the cycles that a step of the scored drive follows.
+
+        Args:
+            steps: Steps of that drive; a recording goes on after a collision.
+
+        Returns:
+            (C,) ms.
+        """
+        return self.cycle_ms[_scored(self.cycle_steps, self.start_step, steps)]
+
     @property
     def weights(self) -> FloatArray:
         """(M,) how likely each kept set is; 1 where it is all of its road user's set."""
@@ -347,14 +358,15 @@ class Recording:
         )
 
 
-def load_cycle_ms(path: Path) -> FloatArray:
-    """Reads the times of an episode's planning cycles, and nothing else of its file.
+def load_cycle_ms(path: Path, steps: int) -> FloatArray:
+    """Reads the times of an episode's planning cycles, and little else of its file.
 
     Args:
         path: An episode's file.
+        steps: Steps of the drive that is scored; the file goes on after a collision.
 
     Returns:
-        (C,) time of each full cycle, predict and plan, ms.
+        (C,) time of each full cycle, predict and plan, that a step of that drive follows, ms.
 
     Raises:
         FileError: The file is missing or is not such a file.
@@ -363,7 +375,11 @@ def load_cycle_ms(path: Path) -> FloatArray:
         times = 1e3 * (_seconds(file, "predict") + _seconds(file, "plan"))
         if times.ndim != 1 or not np.all(np.isfinite(times)):
             raise ValueError("predict_seconds and plan_seconds are no times")
-        return times
+        if "header" in file:
+            start = json.loads(bytes(file["header"]))["start_step"]
+        else:
+            start = int(file["start_step"])
+        return times[_scored(file["cycle_steps"], start, steps)]
 
 
 @contextmanager
@@ -378,6 +394,11 @@ def _opened(path: Path) -> Iterator[Any]:
         raise FileError(
             f"{path} is not an episode file of this version: {one_line(error)}"
         ) from None
+
+
+def _scored(cycle_steps: IntArray, start_step: int, steps: int) -> BoolArray:
+    """(C,) which cycles a step of the scored drive follows, as ``dosplan.scoring`` counts them."""
+    return np.asarray(cycle_steps < start_step + steps)
 
 
 def _seconds(arrays: Mapping[str, Any], part: str) -> FloatArray:

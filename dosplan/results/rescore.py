@@ -16,14 +16,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
-from dosplan.results.drive import Drive, find_recording
+from dosplan.results.drive import Drive, DrivenScenarios, find_recording
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest
 from dosplan.results.markdown import summary_markdown
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_run, write_rows
 from dosplan.results.summary import summarise_run, write_summary
-from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_scenario
 from dosplan.scenario.sources.catalogue import Source
 from dosplan.scoring.score import score_driven
 from dosplan.system.errors import one_line
@@ -93,7 +92,7 @@ def rescore(path: Path, source: Source | None = None) -> Rescored:
     """
     manifest, before = read_run(path)
     folder = RunFolder(path)
-    refs: Mapping[str, ScenarioRef] | None = None
+    scenarios = DrivenScenarios(manifest, source)
     now: list[Score] = []
     kept = 0
     for name, rows in groupby(before, lambda row: row.scenario):
@@ -104,33 +103,10 @@ def rescore(path: Path, source: Source | None = None) -> Rescored:
                 kept += 1
                 now.append(row)
                 continue
-            if refs is None:
-                refs = _found(source or manifest.config.source)
-            scenario = scenario or _load(refs, name, manifest.config.cache, source)
+            scenario = scenario or scenarios.load(name)
             now.append(_scored(row, recording, scenario))
     changes = [_change(*pair) for pair in zip(before, now, strict=True) if pair[0] != pair[1]]
     return Rescored(folder, manifest, tuple(now), tuple(changes), kept)
-
-
-def _found(source: Source) -> dict[str, ScenarioRef]:
-    try:
-        return {ref.id: ref for ref in find_scenarios(source)}
-    except ScenarioError as error:
-        raise FileError(f"{error}; name where the scenarios lie now with --source") from error
-
-
-def _load(
-    refs: Mapping[str, ScenarioRef], name: str, cached: bool, source: Source | None
-) -> Scenario:
-    if name not in refs:
-        raise FileError(
-            f"{source or 'the source of the run'} holds no scenario {name}; "
-            "name where it lies now with --source"
-        )
-    try:
-        return load_scenario(refs[name], cached=cached)
-    except ScenarioError as error:
-        raise FileError(str(error)) from error
 
 
 def _scored(row: Score, recording: Recording, scenario: Scenario) -> Score:

@@ -247,13 +247,13 @@ def pooled_cycle_ms(folder: RunFolder, rows: Iterable[Score], arm: Arm) -> Float
         arm: The arm.
 
     Returns:
-        (C,) times, ms, over all its episodes; an episode without a cycle has no part in it.
+        (C,) times, ms, over the scored drives of all its episodes that have a cycle.
 
     Raises:
         FileError: The file of an episode that has cycles is missing or broken.
     """
     times = [
-        load_cycle_ms(folder.recording(row.key))
+        load_cycle_ms(folder.recording(row.key), row.steps)
         for row in rows
         if row.arm is arm and row.cycle_ms_p50 is not None
     ]

@@ -9,8 +9,9 @@ all rows are over the same episodes, so each is compared with the baseline episo
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -317,7 +318,13 @@ def read_entries(specs: Sequence[str]) -> tuple[list[Entry], tuple[str, ...]]:
         for entry in read:
             if arm in (None, entry.side.arm):
                 found.setdefault((entry.side.path.resolve(), entry.side.arm), entry)
-    return list(found.values()), tuple(missing)
+    # The name of a run of a sweep may be that of a run of another one.
+    runs = Counter(name for _, name in {(path, entry.name) for (path, _), entry in found.items()})
+    entries = [
+        replace(entry, name=str(entry.side.path)) if runs[entry.name] > 1 else entry
+        for entry in found.values()
+    ]
+    return entries, tuple(missing)
 
 
 def _entries(path: Path, name: str, values: Mapping[str, str]) -> list[Entry]:
@@ -356,7 +363,7 @@ def _baseline(entries: Sequence[Entry], spec: str) -> Entry:
             f"the baseline {spec} is none of the runs{did_you_mean(spec, specs)}; the first is "
             f"{specs[0]}"
         )
-    if len({entry.name for entry in found}) == 1 and len(found) > 1:
+    if len({entry.side.path for entry in found}) == 1 and len(found) > 1:
         raise CompareError(
             f"the baseline {spec} has two arms; name one, as {spec}:{Arm.WITHOUT_DOS.value}"
         )
@@ -407,7 +414,7 @@ def _warnings(entries: Sequence[Entry]) -> Iterator[str]:
                 f"{entry.name} and {first.name}: the scenarios have the same ids, and their files "
                 "differ or are in another order."
             )
-            return
+            break
     versions = {entry.manifest.versions.get("dosplan"): entry for entry in entries}
     versions.pop(None, None)
     if len(versions) > 1:

@@ -25,7 +25,11 @@ def markdown_table(table: Table) -> str:
     """
     parts = []
     for block in table.blocks:
-        parts += [f"**{block.title}**", *(markdown(*cells) for cells in block_cells(table, block))]
+        parts.append(f"**{block.title}**")
+        for headings, rows in block_cells(table, block):
+            # A run's name is a path and may hold any sign; a bar would begin another cell.
+            cells = [[cell.replace("|", r"\|") for cell in row] for row in (headings, *rows)]
+            parts.append(markdown(cells[0], cells[1:]))
     return "\n\n".join([*parts, *notes(table)]) + "\n"
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from dosplan.scenario.commonroad.document import SUFFIXES
 from dosplan.types import Outcome, Score
 
+_AFTER_FILE: Final = re.compile("|".join(rf"(?<={re.escape(end)}): " for end in SUFFIXES))
+"""Between file and reason in a ``ScenarioError``: a folder's name may hold a colon, too."""
 LISTED: Final = 10
 """How many are listed where there is no room for all."""
 
@@ -37,8 +41,8 @@ def unusable_scenarios(rows: Iterable[Score]) -> tuple[Unusable, ...]:
         Each once, in the order of the rows.
     """
     errors = {row.scenario: row.error or "" for row in rows if row.outcome is Outcome.UNUSABLE}
-    parts = {scenario: error.partition(": ") for scenario, error in errors.items()}
-    return tuple(Unusable(name, file, reason) for name, (file, _, reason) in parts.items())
+    parts = {scenario: _AFTER_FILE.split(error, maxsplit=1) for scenario, error in errors.items()}
+    return tuple(Unusable(name, file, " ".join(rest)) for name, (file, *rest) in parts.items())
 
 
 def unusable_title(found: Sequence[Unusable], total: int) -> str:

@@ -33,7 +33,7 @@ from dosplan.plugins.registry import (
 )
 from dosplan.running.config import RunConfig, RunError
 from dosplan.running.executor import Results, Verdicts, Workers, parted
-from dosplan.running.job import EpisodeResult, Task, unreadable
+from dosplan.running.job import EpisodeResult, Task
 from dosplan.running.process import EpisodeProcesses
 from dosplan.scenario import ScenarioRef
 from dosplan.scoring.score import failed_score
@@ -111,8 +111,12 @@ class _Cluster:
         def submit(part: tuple[ScenarioRef, ...]) -> Any:
             return self._submit(_check, tuple(map(_absolute, part)))
 
-        def lost(part: tuple[ScenarioRef, ...]) -> list[str | None]:
-            return [unreadable(ref, _DIED) for ref in part]
+        def lost(_: tuple[ScenarioRef, ...]) -> list[str | None]:
+            # A file that ends a process ends that of the episodes, not the Dask worker.
+            raise RunError(
+                "every Dask worker that took up scenarios to check them died; see to the workers, "
+                "then the same command resumes"
+            )
 
         workers = max(len(self.client.scheduler_info()["workers"]), 1)
         for part, found in self._all(submit, parted(refs, workers), lost):

@@ -245,10 +245,13 @@ def _write_files(folder: RunFolder, result: EpisodeResult) -> None:
     recording = folder.recording(result.row.key)
     if result.recording is not None:
         write_bytes(recording, result.recording)
-    else:  # Nor one of an attempt that was killed before its row was written.
+    else:  # Nor is there one of an attempt whose row was not written or taken out.
         recording.unlink(missing_ok=True)
+    traceback = folder.traceback(result.row.key)
     if result.traceback is not None:
-        write_text(folder.traceback(result.row.key), result.traceback)
+        write_text(traceback, result.traceback)
+    else:
+        traceback.unlink(missing_ok=True)
 
 
 @contextmanager

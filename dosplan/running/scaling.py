@@ -24,12 +24,12 @@ from dosplan.results.rows import append_row, read_rows
 from dosplan.running.job import Session, Task
 from dosplan.running.process import EpisodeProcess
 from dosplan.running.progress import ProgressObserver
-from dosplan.running.run import RunConfig, run
+from dosplan.running.run import RunConfig, RunError, run
 from dosplan.scenario import find_scenarios
 from dosplan.system.files import write_bytes
 from dosplan.system.provenance import content_digest, describe_environment
 from dosplan.system.workers import WORKER_ENVIRONMENT, environment
-from dosplan.types import Arm, EpisodeKey
+from dosplan.types import Arm, EpisodeKey, Outcome
 
 MILLION: Final = 1_000_000
 SUITE: Final = "suite-1"
@@ -146,6 +146,12 @@ def _measure_run(config: RunConfig, episodes: int) -> dict[str, float]:
     watch = _Watch()
     folder = run(config, ProgressObserver(watch))
     total = time.perf_counter() - watch.started
+    failed = [row for row in read_rows(folder.rows) if row.outcome is Outcome.PLANNER_FAILURE]
+    if failed:
+        raise RunError(
+            f"{len(failed)} of {episodes} episodes failed, whose times say nothing of a batch: "
+            f"{failed[0].error} [{failed[0].key.title}]"
+        )
     steady = watch.runner[int(_SETTLED * len(watch.runner)) :]
     driving = total - watch.first
     return {
@@ -182,7 +188,7 @@ def _measure_parts(config: RunConfig, place: Path) -> dict[str, float]:
             seconds.append(time.perf_counter() - began)
     read = time.perf_counter()
     for i in range(_WRITES):
-        load_cycle_ms(folder.recording(EpisodeKey(f"{i}", Arm.WITHOUT_DOS)))
+        load_cycle_ms(folder.recording(EpisodeKey(f"{i}", Arm.WITHOUT_DOS)), result.row.steps)
     summarised = time.perf_counter() - read
     return {
         "list_ms_per_scenario": 1e3 * (listed - started) / len(refs),

@@ -170,7 +170,7 @@ class Metric:
 
         Returns:
             The value, or None where the episode has none. What is unusable, and a failure of the
-            traffic, never has one: here, and here alone, it drops out of every share and mean.
+            traffic, never has one, and drops out of every share and mean by that.
         """
         if not row.outcome.of_planner:
             return None

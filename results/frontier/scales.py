@@ -20,10 +20,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from dosplan.evaluation.evaluate import one_problem_each
 from dosplan.evaluation.groups import MOVING
 from dosplan.evaluation.methods import Method, build
 from dosplan.evaluation.samples import FileSamples, sample_file
-from dosplan.scenario import find_scenarios, load_recording
+from dosplan.scenario import load_recording
 from dosplan.system.files import write_json
 from dosplan.types import FloatArray
 
@@ -98,9 +99,9 @@ def measure(folder: Path, every: int) -> Mapping[str, Any]:
         Content of ``scales.json``.
     """
     predictors = [(method.label, build(method, seed=0)) for method in METHODS]
-    # One planning problem of a recording is enough: the road users are the same.
-    refs = {ref.path: ref for ref in reversed(find_scenarios(str(folder)))}.values()
-    samples = [sample_file(load_recording(ref), predictors, every) for ref in refs]
+    samples = [
+        sample_file(load_recording(ref), predictors, every) for ref in one_problem_each(str(folder))
+    ]
     return {
         "recordings": len(samples),
         "windows": int(sum(np.sum(one.speed >= MOVING) for one in samples)),

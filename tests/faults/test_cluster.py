@@ -138,6 +138,21 @@ def test_the_death_of_half_of_the_workers_loses_nothing(
     assert [x for x in complaint.splitlines() if "episodes" not in x and x[:2] != "  "] == []
 
 
+def test_scenarios_whose_machines_die_are_not_called_unusable(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def died(future: Any) -> tuple[bool, Any]:
+        await future
+        return True, None
+
+    monkeypatch.setattr(cluster, "_result", died)
+    config = configured(tmp_path / "run", scenes, cluster="local:1")
+    with pytest.raises(RunError, match="the same command resumes"):
+        run(config)
+    monkeypatch.undo()
+    assert all(row["error"] is None for row in untimed(run(config)))
+
+
 def test_nobody_waits_for_a_result_that_its_dead_worker_holds(
     scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -519,6 +519,23 @@ def test_groups_that_fail_come_first(tmp_path: Path) -> None:
     assert re.findall(r'data-text="(\w+)"', html) == ["other", "ZAM_Bad", "ZAM_Good"]
 
 
+@pytest.mark.parametrize("arms", [tuple(Arm), (Arm.WITH_DOS,)])
+def test_what_the_traffic_failed_in_is_in_no_share(tmp_path: Path, arms: tuple[Arm, ...]) -> None:
+    rows = [
+        _row(
+            f"USA_A-{i}_1_T-1",
+            arm,
+            Outcome.SUCCESS if i else Outcome.TRAFFIC_FAILURE,
+        )
+        for i in range(10)
+        for arm in arms
+    ]
+    html = write_report(_write_run(tmp_path / "run", rows)).read_text(encoding="utf-8")
+    (told,) = re.findall(r"(?:success|Success)[^.]* in (\d+ of \d+) scenarios", html)
+    assert told == "9 of 9"
+    assert "100 %" in html or ">100<" in html
+
+
 def test_groups_of_one_meaning_are_shown_once() -> None:
     def titles(pairs: list[tuple[str, str]]) -> list[str]:
         row = _row("s", Arm.WITH_DOS, Outcome.SUCCESS)
@@ -574,9 +591,12 @@ def test_a_report_that_fails_does_not_fail_the_run(
     monkeypatch.setattr("dosplan.report.html.write.write_report", refuse)
     out = tmp_path / "run"
     arguments = [str(scenes / "ZAM_Free-1_1_T-1.xml"), *COAST, "--in-process"]
-    assert main(["run", *arguments, "--with-dos", "--out", str(out)]) == cli.OK
-    (line,) = (text for text in capsys.readouterr().out.splitlines() if "no report" in text)
-    assert "no room" in line
+    for as_json in ([], ["--json"]):  # The second time nothing is left to drive.
+        assert main(["run", *arguments, "--with-dos", "--out", str(out), *as_json]) == cli.OK
+        told = capsys.readouterr()
+        (line,) = (text for text in told.err.splitlines() if "no report" in text)
+        assert "no room" in line
+        assert "report" not in told.out or not as_json
     assert (out / "summary.json").is_file()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from dosplan.results.leaderboard_page import leaderboard_page
 from dosplan.results.scenario_sets import known_sets
 from dosplan.running.sweep import read_sweep
 from dosplan.scoring.score import failed_score
+from dosplan.system.files import FileError
 from dosplan.system.provenance import content_digest
 from dosplan.types import Arm, EpisodeKey, Outcome, Score
 from tests.support.peers import is_missing
@@ -103,6 +105,18 @@ def test_a_row_that_is_written_is_read_as_it_was(tmp_path: Path) -> None:
     assert found.arms[Arm.WITH_DOS].figures["success"].value == 0.2
     # The mean of the four episodes that drove.
     assert found.arms[Arm.WITH_DOS].figures["velocity"].value == pytest.approx(5.25)
+
+
+@pytest.mark.parametrize("word", ["Snan", "Sinf"])
+def test_a_velocity_that_is_no_number_is_refused(tmp_path: Path, word: str) -> None:
+    path = write_submission(tmp_path, row("a", [HIT, HIT]))
+    content = json.loads(path.read_text())
+    arm = content["arms"]["with_dos"]
+    arm["episodes"] = dict.fromkeys(arm["episodes"], word)
+    arm["figures"]["velocity"] = {"value": 99.0, "low": None, "high": None}
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileError, match="is no episode"):
+        read_submissions(tmp_path)
 
 
 def test_success_comes_first_then_safety_then_blame_then_velocity() -> None:

@@ -73,6 +73,20 @@ def test_tango_has_limits_where_nothing_differs_and_where_all_does() -> None:
     assert tango_interval(0, 150, 150) == pytest.approx((-1.0, -low))
 
 
+@pytest.mark.parametrize("n", [*range(1, 60), 149, 0.1398, 36.7])
+def test_tango_has_limits_for_any_number_of_pairs_that_all_differ(n: float) -> None:
+    # With D the difference the score is -sqrt(n (1 + D) / (1 - D)), and -z at the upper limit.
+    limit = (3.8414588 - n) / (3.8414588 + n)
+    assert tango_interval(0, n, n) == pytest.approx((-1.0, limit))
+    assert tango_interval(n, 0, n) == pytest.approx((-limit, 1.0))
+
+
+@pytest.mark.parametrize("change", [0.1, 0.5])
+def test_equal_differences_have_no_p_whatever_their_rounding(change: float) -> None:
+    before = np.array([0.3, 1.7, 2.9, 4.1, 8.3])
+    assert mean_difference(before, before + change, ["a", "b", "c", "d", "e"]).p is None
+
+
 def test_two_against_none_of_150_does_not_exclude_zero() -> None:
     """A percentile bootstrap of these ends at 0: it never draws a pair of the other kind."""
     found = share_difference(*_sides(150, 0, 2), _each(150))

@@ -10,12 +10,11 @@ import pytest
 from scipy.stats import binomtest
 
 from dosplan.results.comparison import compare_rows
-from dosplan.results.intervals import sums_over
+from dosplan.results.intervals import design_effect, sums_over
 from dosplan.results.markdown import power_line
 from dosplan.results.paired import sign_flip_p
 from dosplan.results.power import (
     POWER,
-    design_effect,
     detectable_difference,
     mcnemar_power,
     smallest_difference,

@@ -144,7 +144,7 @@ def test_scenarios_that_moved_are_named_and_others_are_refused(
     with pytest.raises(FileError, match=f"{scenario} is not the scenario that the run drove"):
         rescore(run.path, str(tmp_path / "second"))
     file.unlink()
-    with pytest.raises(FileError, match=f"holds no scenario {scenario}; name where it lies now"):
+    with pytest.raises(FileError, match=f"holds no scenario {scenario}; did you mean .*--source"):
         rescore(run.path, str(tmp_path / "second"))
 
 

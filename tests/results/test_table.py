@@ -139,6 +139,27 @@ def test_futures_of_a_scenario_are_one_in_the_test(tmp_path: Path) -> None:
     assert block.rows[0].n == 8
 
 
+def test_runs_of_two_sweeps_may_have_one_name(tmp_path: Path) -> None:
+    name = SweepRun(name="planner=p", values={"planner": "p"}, settings=RunSettings())
+    runs = []
+    for sweep, outcomes in (("a", [HIT, HIT]), ("b", [MISS, MISS])):
+        folder = SweepFolder(tmp_path / sweep)
+        folder.write((name,))
+        runs.append(_run(folder.run(name), outcomes))
+    sweeps = [str(tmp_path / "a"), str(tmp_path / "b")]
+    table = make_table(sweeps, baseline=f"{runs[1]}:with_dos")
+    assert [row.run for row in table.blocks[0].rows] == [str(run) for run in runs for _ in Arm]
+    assert table.blocks[0].baseline == f"{runs[1]}:with_dos"
+    assert [row.run for row in make_table(sweeps[:1]).blocks[0].rows] == ["planner=p"] * 2
+
+
+def test_a_bar_in_the_name_of_a_run_begins_no_cell(tmp_path: Path) -> None:
+    run = _run(tmp_path / "a|b", [HIT, MISS])
+    lines = markdown_table(make_table([str(run)])).splitlines()
+    cells = {line.replace(r"\|", "").count("|") for line in lines if line.startswith("| ")}
+    assert len(cells) == 2  # Of the figures, and of the differences.
+
+
 def test_a_sweep_gives_its_runs_and_tells_what_is_missing(tmp_path: Path) -> None:
     sweep = SweepFolder(tmp_path / "mine")
     runs = tuple(
@@ -214,6 +235,8 @@ def test_other_files_or_versions_of_the_same_scenarios_are_told(tmp_path: Path) 
     (versions,) = table.blocks[0].warnings
     assert versions.startswith(f"Scored by several versions of dosplan: 0.4.0 ({a}), 0.5.0 ({c})")
     assert versions in notes(table)
+    both = make_table([str(a), str(b), str(c)]).blocks[0].warnings
+    assert both == (files, versions.replace(f"({a})", f"({b})"))
 
 
 def test_planner_and_predictor_are_named_where_runs_of_no_sweep_differ(tmp_path: Path) -> None:

@@ -245,7 +245,7 @@ def test_commands_know_the_futures(
     assert "12 of 12 rows agree" in capsys.readouterr().out
     assert main(["compare", run_folder]) == 0
     told = capsys.readouterr().out
-    assert "n = 6, futures = 3, places = 1" in told
+    assert "n = 6, futures = 3, places = 2" in told
     assert main(["explain", run_folder, scenario]) == 0
     told = capsys.readouterr().out
     assert told.count(f"{scenario}, with_dos") == told.count(f"{scenario}, without_dos") == FUTURES
@@ -276,7 +276,7 @@ def test_the_page_folds_the_futures_of_a_scenario(finished: RunFolder) -> None:
     from dosplan.report.html.write import write_report
 
     html = write_report(finished.path, finished.path.parent / "report.html").read_text("utf-8")
-    assert "2 scenarios, 3 futures each, of 1 place" in html
+    assert "2 scenarios, 3 futures each, of 2 places" in html
     assert re.search("[0-9] of 6 episodes", html)
     found = re.search(r'<script[^>]*id="data"[^>]*>(.*?)</script>', html, re.DOTALL)
     assert found

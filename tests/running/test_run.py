@@ -534,6 +534,31 @@ def test_what_a_plugin_raises_is_in_the_row_and_its_traceback_in_a_file(
     assert "enough" in trace
 
 
+def test_a_traceback_is_of_the_attempt_that_its_row_tells(scenes: Path, tmp_path: Path) -> None:
+    config = _config(tmp_path / "run", scenes, "FaultyPlanner", arms=(Arm.WITH_DOS,))
+    config = replace(config, source=str(scenes / "ZAM_Test-5_1_T-1.xml"))
+    folder = run_here(config)
+    (row,) = read_rows(folder.rows)
+    folder.rows.write_text("")
+    died = EpisodeResult(failed_score(row.key, "timed out after 600 s"))
+
+    class Dying:
+        """Whatever it drives times out."""
+
+        @contextmanager
+        def start(self, config: RunConfig) -> Iterator[Workers]:
+            yield self
+
+        def check(self, refs: Iterable[ScenarioRef]) -> Verdicts:
+            yield from ((ref, None) for ref in refs)
+
+        def drive(self, tasks: Iterable[Task]) -> Results:
+            yield from ((task, died) for task in tasks)
+
+    run(config, executor=Dying())
+    assert not folder.traceback(row.key).exists()
+
+
 def test_a_row_that_cannot_be_written_becomes_one_that_can(
     scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

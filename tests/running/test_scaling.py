@@ -6,9 +6,20 @@ from pathlib import Path
 
 import pytest
 
+from dosplan.cli.command import BAD_INPUT
 from dosplan.cli.main import main
 from dosplan.running import scaling as bench
 from dosplan.system.files import read_json
+
+FAILING = """
+from dosplan.api import Planner
+
+class FailingPlanner(Planner):
+    name = "failing-v1"
+
+    def compute_plan(self, observation, occupancy):
+        raise ValueError("no plan today")
+"""
 
 
 def test_a_million_scenarios_are_two_million_episodes() -> None:
@@ -52,6 +63,16 @@ def test_what_is_measured_is_shown_and_written(
     # Flat: a few hundred bytes for an episode are the task that waits for it.
     assert figures["tiny"]["runner_bytes_per_episode"] < 5000.0
     assert figures["start"]["worker_seconds"] > 0.1
+
+
+def test_episodes_that_fail_are_no_measure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    planner = tmp_path / "failing.py"
+    planner.write_text(FAILING)
+    plugins = ["--planner", f"{planner}:FailingPlanner", "--predictor", "none"]
+    assert main(["bench", "scale", "--scenarios", "2", "--episodes", "400", *plugins]) == BAD_INPUT
+    assert "episodes failed, whose times say nothing of a batch: " in capsys.readouterr().err
 
 
 def test_too_little_to_measure_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:

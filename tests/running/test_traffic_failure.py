@@ -36,7 +36,7 @@ def test_no_planner_is_judged_by_it(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert figures["success_rate"] is None
         assert figures["planner_failure_rate"] is None
     assert summary.unusable == ()
-    assert "| n | usable |" in folder.summary_text.read_text()
+    assert "| usable | 0 | 0 |" in folder.summary_text.read_text()
     assert "traffic failure" in folder.path.joinpath("report.html").read_text()
     assert main(["compare", str(out)]) == cli.OK
     assert "left out as unusable or failed by the traffic: 2" in capsys.readouterr().out

@@ -150,7 +150,10 @@ def _case(pairing: Pairing, driven: ScenarioFuture, family: str, examined: bool)
         rows=rows,
         why=tuple(_why(row, one, drive) for row, one, drive in zip(rows, met, drives, strict=True)),
         met=met,
-        cycle_ms=tuple(np.empty(0) if r is None else r.cycle_ms for r in recordings),
+        cycle_ms=tuple(
+            np.empty(0) if recording is None else recording.scored_cycle_ms(row.steps)
+            for recording, row in zip(recordings, rows, strict=True)
+        ),
         thumbnail=thumbnail(scene, drives),
         notes=() if scene is None else shown_notes(scene.notes),
         payload=pack(encode_episode(scene, drives)) if any(drives) else None,

@@ -80,11 +80,13 @@ def answer(pairing: Pairing, view: View) -> str:
         Text.
     """
     sides = [pairing.sides[index] for index in view]
-    last, reached = sides[-1], [_succeeded(side) for side in sides]
+    last = sides[-1]
     if not pairing.driven:
         return "Nothing was driven."
     if view not in pairing.comparisons:
-        return f"Success {_name(last.name)} in {reached[-1]} of {len(last.rows)} {pairing.unit}."
+        counted = _of_planner(last.rows.values())
+        reached = sum(outcome is Outcome.SUCCESS for outcome in counted)
+        return f"Success {_name(last.name)} in {reached} of {len(counted)} {pairing.unit}."
     success = pairing.comparisons[view].differences.get("success")
     if success is None:
         return "Nothing can be compared: the traffic failed."
@@ -92,8 +94,8 @@ def answer(pairing: Pairing, view: View) -> str:
     if _beyond_chance(success):
         found = f"{'Better' if success.difference > 0.0 else 'Worse'} {_name(last.name)}"
     return (
-        f"{found}: success in {reached[1]} of {success.n} {pairing.unit} {_name(last.name)}, "
-        f"in {reached[0]} {_name(sides[0].name)}."
+        f"{found}: success in {round(success.b * success.n)} of {success.n} {pairing.unit} "
+        f"{_name(last.name)}, in {round(success.a * success.n)} {_name(sides[0].name)}."
     )
 
 
@@ -164,8 +166,9 @@ def held_cells(cases: Iterable[Case], side: int) -> list[str]:
     return [_covered(coverage, time) for time in _LOOK_AHEAD]
 
 
-def _succeeded(side: Side) -> int:
-    return sum(row.outcome is Outcome.SUCCESS for row in side.rows.values())
+def _of_planner(rows: Iterable[Score]) -> list[Outcome]:
+    """The outcomes that a planner is judged by."""
+    return [row.outcome for row in rows if row.outcome.of_planner]
 
 
 def _beyond_chance(figure: Difference) -> bool:
@@ -275,6 +278,7 @@ def coverage_of(cases: Iterable[Case], side: int) -> list[Coverage]:
 
 def _group(name: str, cases: Sequence[Case], sides: int) -> dict[str, Any]:
     counts = [Counter(case.rows[side].outcome for case in cases) for side in range(sides)]
+    judged = [len(_of_planner(case.rows[side] for case in cases)) for side in range(sides)]
     return {
         "name": name,
         "n": len(cases),
@@ -285,13 +289,17 @@ def _group(name: str, cases: Sequence[Case], sides: int) -> dict[str, Any]:
                     for outcome, word in OUTCOME_WORDS.items()
                     if count[outcome]
                 ],
-                "success": f"{100.0 * count[Outcome.SUCCESS] / len(cases):.0f}",
-                "collision": f"{100.0 * count[Outcome.COLLISION] / len(cases):.0f}",
+                "success": _percent(count[Outcome.SUCCESS], judged[side]),
+                "collision": _percent(count[Outcome.COLLISION], judged[side]),
                 "cells": held_cells(cases, side),
             }
             for side, count in enumerate(counts)
         ],
     }
+
+
+def _percent(count: int, total: int) -> str:
+    return f"{100.0 * count / total:.0f}" if total else "-"
 
 
 def _covered(coverage: Iterable[Coverage], seconds: float) -> str:

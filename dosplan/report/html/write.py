@@ -16,7 +16,7 @@ from dosplan.report.html.scenarios import find_scenes
 from dosplan.report.html.sides import Pairing, Side, View
 from dosplan.results.comparison import CompareError, Comparison, compare_rows, paired_sides
 from dosplan.results.folder import RunFolder
-from dosplan.results.manifest import RunManifest, read_manifest
+from dosplan.results.manifest import RunManifest, named_options, read_manifest
 from dosplan.results.markdown import ARM_TITLES, ARMS_SIDE_BY_SIDE, unranked_reason
 from dosplan.results.rows import read_run
 from dosplan.results.table import COLUMNS, Entry, Table, by_driven, make_block, read_entries
@@ -200,15 +200,6 @@ def _listed(manifest: RunManifest) -> str:
 def _facts(manifest: RunManifest) -> dict[str, str]:
     """What was run, for a reader who has the page alone."""
     config = manifest.config
-    options = {
-        f"{plugin}.{name}": value
-        for plugin, chosen in (
-            ("planner", config.planner_options),
-            ("predictor", config.predictor_options),
-            ("traffic", config.traffic_options),
-        )
-        for name, value in chosen.items()
-    }
     facts = {
         "Planner": manifest.planner,
         "Predictor": manifest.predictor,
@@ -216,7 +207,7 @@ def _facts(manifest: RunManifest) -> dict[str, str]:
         "Traffic": manifest.traffic,
         "Futures": str(config.futures) if config.futures > 1 else "",
         "Loop": manifest.loop,
-        "Options": ", ".join(f"{name} = {value}" for name, value in options.items()),
+        "Options": ", ".join(f"{name} = {value}" for name, value in named_options(config).items()),
         "Scenarios": f"{len(manifest.scenarios)} of {source_text(config.source)}",
         "Seed": str(config.seed),
         "Started": manifest.started,

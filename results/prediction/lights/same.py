@@ -12,7 +12,8 @@ import sys
 import numpy as np
 from dosplan_dos.predictor import DosPredictor, DosSettings
 
-from dosplan.scenario import find_scenarios, load_recording
+from dosplan.evaluation.evaluate import one_problem_each
+from dosplan.scenario import load_recording
 from dosplan.simulation.world import watch
 
 EVERY = 20
@@ -22,8 +23,8 @@ def main() -> None:
     """Counts the observations, and those whose sets differ."""
     predictors = [DosPredictor(settings=DosSettings(lights=lights)) for lights in (True, False)]
     seen = differ = 0
-    refs = {ref.path: ref for ref in find_scenarios(sys.argv[1])}
-    for ref in refs.values():
+    refs = one_problem_each(sys.argv[1])
+    for ref in refs:
         for observation in watch(load_recording(ref), EVERY):
             ours, reference = (predictor.predict(observation) for predictor in predictors)
             same = all(

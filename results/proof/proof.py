@@ -54,6 +54,7 @@ class Cell:
         ratio_high: Upper end.
         collision: Difference of the shares of collisions, with minus without.
         at_fault: The same of those that the ego is to blame for.
+        out_of_bounds: The same of drives off the road.
         success: The same of successes.
         velocity: Difference of the mean velocities, m/s.
         p: Of the collisions, by scenarios.
@@ -73,6 +74,7 @@ class Cell:
     ratio_high: float | None
     collision: Difference
     at_fault: Difference
+    out_of_bounds: Difference
     success: Difference
     velocity: Difference
     p: float
@@ -170,6 +172,7 @@ def judge_cell(scenarios: str, traffic: str, loop: str, rows: Sequence[Score]) -
         ratio_high=high,
         collision=found.differences["collision"],
         at_fault=found.differences["at_fault_collision"],
+        out_of_bounds=found.differences["out_of_bounds"],
         success=found.differences["success"],
         velocity=found.differences["velocity"],
         p=sign_flip_p(counts[:, 1] - counts[:, 0]),
@@ -269,27 +272,26 @@ def write_judgement(runs: Path) -> None:
 
 
 def table(cells: Sequence[Cell]) -> str:
-    """The figures of all cells, and whether the hypotheses hold."""
+    """The figures of all cells, without and with the sets, and whether the hypotheses hold."""
     return markdown(
         [
-            *("Scenarios", "Traffic", "Loop", "Pairs", "Collisions without", "with", "Ratio", "p"),
-            *("At fault", "Success, points", "Velocity, m/s", "H1", "H2", "H3"),
+            *("Scenarios, traffic, loop", "Pairs", "Collisions", "Ratio", "p", "At fault, %"),
+            *("Off the road, %", "Success, % (points)", "Velocity, m/s (%)", "1", "2", "3"),
         ],
         [
             [
-                cell.scenarios,
-                cell.traffic,
-                cell.loop,
+                ", ".join(cell.key),
                 str(cell.n),
-                str(cell.without),
-                str(cell.with_sets),
+                f"{cell.without} → {cell.with_sets}",
                 _ratio(cell),
                 f"{cell.p if cell.p_holm is None else cell.p_holm:.2g}",
-                _points(cell.at_fault),
-                _points(cell.success),
-                _signed(cell.velocity, 1.0, 2),
+                _shares(cell.at_fault),
+                _shares(cell.out_of_bounds),
+                f"{_shares(cell.success)} {_ends(cell.success, 100.0)}",
+                f"{cell.velocity.a:.2f} → {cell.velocity.b:.2f} "
+                f"{_ends(cell.velocity, 100.0 / cell.velocity.a)}",
                 *(
-                    "-" if cell.p_holm is None else "yes" if holds else "no"
+                    "" if cell.p_holm is None else "yes" if holds else "no"
                     for holds in (cell.is_safer, cell.keeps_success, cell.keeps_velocity)
                 ),
             ]
@@ -305,17 +307,15 @@ def _ratio(cell: Cell) -> str:
     return f"{cell.ratio:.2f} ({' to '.join(ends)})"
 
 
-def _points(difference: Difference) -> str:
-    return _signed(difference, 100.0, 1)
+def _shares(difference: Difference) -> str:
+    return f"{100.0 * difference.a:.1f} → {100.0 * difference.b:.1f}"
 
 
-def _signed(difference: Difference, scale: float, digits: int) -> str:
-    shown = f"{scale * difference.difference:+.{digits}f}"
+def _ends(difference: Difference, scale: float) -> str:
+    """The interval of the difference."""
     if difference.low is None or difference.high is None:
-        return shown
-    return (
-        f"{shown} ({scale * difference.low:+.{digits}f} to {scale * difference.high:+.{digits}f})"
-    )
+        return "(-)"
+    return f"({scale * difference.low:+.1f} to {scale * difference.high:+.1f})"
 
 
 if __name__ == "__main__":

@@ -28,9 +28,10 @@ from dosplan.results.comparison import Comparison, compare_runs
 from dosplan.results.dataframes import to_pandas, to_polars
 from dosplan.results.drive import Drive
 from dosplan.results.folder import RunFolder
-from dosplan.results.leaderboard import FOLDER, About, write_submission
+from dosplan.results.leaderboard import About, write_submission
 from dosplan.results.manifest import RunManifest
 from dosplan.results.markdown import comparison_text
+from dosplan.results.published import LEADERBOARD
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_run
 from dosplan.results.summary import Summary, read_summary
@@ -293,7 +294,7 @@ def submit(
     name: str = "",
     authors: str = "",
     url: str = "",
-    out: str | Path = FOLDER,
+    out: str | Path = LEADERBOARD,
     source: str | Path | None = None,
 ) -> Path:
     """Checks a run and writes its row of the leaderboard, as ``dosplan submit`` does.

@@ -9,6 +9,7 @@ from typing import Final
 
 from dosplan.cli.arguments import add_json, add_moved_source, show
 from dosplan.cli.command import BAD_INPUT, FAILED, OK
+from dosplan.results.published import LEADERBOARD
 
 _SUBMIT: Final = """\
 examples:
@@ -23,7 +24,6 @@ examples:
   dosplan leaderboard --rows rows --out page.md
   dosplan leaderboard --check                       is the page that of the rows?
 """
-_ROWS: Final = Path("results/leaderboard")
 _PAGE: Final = Path("docs/leaderboard.md")
 
 
@@ -40,7 +40,7 @@ class SubmitCommand:
         parser.add_argument(
             "--out",
             type=Path,
-            default=_ROWS,
+            default=LEADERBOARD,
             metavar="DIR",
             help="folder of the rows (default: %(default)s)",
         )
@@ -93,7 +93,7 @@ class LeaderboardCommand:
         parser.add_argument(
             "--rows",
             type=Path,
-            default=_ROWS,
+            default=LEADERBOARD,
             metavar="DIR",
             help="folder of the rows (default: %(default)s)",
         )

@@ -26,8 +26,6 @@ from dosplan.system.provenance import content_digest
 from dosplan.system.typed import plain, typed
 from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
-FOLDER: Final = Path("results/leaderboard")
-"""Where the rows lie, in a checkout of dosplan."""
 COLUMNS: Final = ("success", "safe", "at_fault_collision", "velocity")
 """Names of the metrics that the leaderboard shows."""
 _DIGITS: Final = 4  # Decimals of an episode's velocity, m/s.

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Final
+
+LEADERBOARD: Final = Path("results/leaderboard")
+"""The rows of the leaderboard, in a checkout."""
 
 
 def default_results() -> Path:

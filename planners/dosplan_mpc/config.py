@@ -483,7 +483,7 @@ class MpcConfig(DeadlineSettings):
     jerk_weight: float = 0.01
     set_penalty: float = 2000.0
     far_penalty: float = 0.1
-    road_penalty: float = 1000.0
+    road_penalty: float = 5000.0
     slack_curvature: float = 1e-2
     norm_rounding: float = 1e-4
     clearance: float = 0.15

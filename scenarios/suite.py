@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--resume",
         action="store_true",
-        help="go on with what was begun in the folder with the same seed and code; suite only",
+        help="go on with what was begun in the folder with the same split and seed; suite only",
     )
     options = parser.parse_args(arguments)
     for package in PACKAGES:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import partial
+from gzip import compress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -202,7 +203,9 @@ def _read(path: Path, step_seconds: float | None) -> _Recording:
     except FaultError as error:
         raise ScenarioError(path, str(error)) from None
     # What cannot be driven in shall be told of the file, not of each of its moments.
-    parse_scenario(ScenarioRef(path.with_suffix(".xml"), ""), _text(whole_file), ego_optional=True)
+    text = _text(whole_file)
+    content = compress(text) if path.suffix == ".gz" else text
+    parse_scenario(ScenarioRef(path, ""), content, ego_optional=True)
     return recording
 
 
@@ -248,8 +251,10 @@ def _is_dynamic(element: Element) -> bool:
 
 
 def _states(element: Element) -> Iterator[Element]:
-    yield child(element, "initialState")
-    yield from element.iterfind("trajectory/state")
+    """The states that count, as ``recorded`` takes them: none of before the initial one."""
+    initial = child(element, "initialState")
+    yield initial
+    yield from (x for x in element.iterfind("trajectory/state") if step(x) > step(initial))
 
 
 def _share(steps: IntArray, rows: FloatArray, dt: float) -> list[float]:

@@ -73,7 +73,8 @@ def margins(drive: Drive, goal_step: int) -> Margins:
         The margins.
     """
     shapes = shapely.polygons(rectangle_corners(drive.ego[:, :3], drive.vehicle.size))
-    edge = drive.scenario.road_map.drivable.boundary
+    road_map = drive.scenario.road_map
+    edge = shapely.union(road_map.drivable, road_map.open_ends).boundary
     spare = drive.scenario.task.final_step - goal_step
     return Margins(
         reached=drive.seconds(goal_step),

@@ -93,7 +93,7 @@ def road_facts(drive: Drive, step: int) -> RoadFacts:
     depths, points = _depths(drive)
     first, worst = step - drive.start, int(np.argmax(depths))
     corners = rectangle_corners(drive.ego[first, :3], drive.vehicle.size)
-    area = drive.scenario.road_map.drivable
+    area = _road_around(drive)
     centre, state = shapely.Point(drive.ego[first, :2]), drive.states[first]
     curvature, offset, left, right = _beside(drive.scenario.task.route, drive.ego[first, :2])
     velocity = float(state[EGO_VELOCITY])
@@ -120,11 +120,17 @@ def road_facts(drive: Drive, step: int) -> RoadFacts:
     )
 
 
+def _road_around(drive: Drive) -> shapely.Geometry:
+    """Where a car is not off the road, as far as the ego came."""
+    shapes = shapely.polygons(rectangle_corners(drive.ego[:, :3], drive.vehicle.size))
+    box = shapely.box(*shapely.total_bounds(shapes)).buffer(max(drive.vehicle.size))
+    return drive.scenario.road_map.road_within(*box.bounds)
+
+
 def _depths(drive: Drive) -> tuple[FloatArray, FloatArray]:
     """(K + 1,) depth, m, and (K + 1, 2) the farthest point of the rectangle's part outside."""
     shapes = shapely.polygons(rectangle_corners(drive.ego[:, :3], drive.vehicle.size))
-    box = shapely.box(*shapely.total_bounds(shapes)).buffer(max(drive.vehicle.size))
-    around = drive.scenario.road_map.road_within(*box.bounds)
+    around = _road_around(drive)
     depths, points = np.zeros(len(shapes)), np.array(drive.ego[:, :2])
     for i, part in enumerate(shapely.difference(shapes, around)):
         if shapely.area(part) == 0.0:

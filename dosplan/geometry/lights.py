@@ -55,9 +55,13 @@ class LightsAhead:
 
 @dataclass(frozen=True)
 class _Line:
-    """The line at which lights hold: their ids, and its arc length on the lanelet's centre line."""
+    """The line at which lights hold: their ids, its lanelet, and its arc length on the centre line.
+
+    That is 0 where the line lies before the lanelet's beginning.
+    """
 
     lights: tuple[int, ...]
+    lanelet: int
     arclength: float
 
 
@@ -87,13 +91,14 @@ class LightIndex:
             if lights := lights_at(road_map, lanelet):
                 arclength = centres.stop(lanelet)
                 heappush(heap, (0.0, len(self._lines), lanelet.id, len(self._lines)))
-                self._lines.append(_Line(lights, arclength))
+                self._lines.append(_Line(lights, lanelet.id, arclength))
         found: dict[int, tuple[int, float]] = {}
         while heap:
             beyond, _, name, line = heappop(heap)
             if name in found:
                 continue
-            own = centres.length(name) if beyond else self._lines[line].arclength
+            ends = self._lines[line]
+            own = ends.arclength if name == ends.lanelet else centres.length(name)
             found[name] = (line, beyond + own)
             if beyond + own < reach:
                 for before in by_id[name].predecessors:

@@ -72,7 +72,7 @@ class _Folder:
         """Imports a file of the folder, unless it is there and nothing was changed."""
         if any(self._digest(known) != digest for known, digest in self._digests.items()):
             self._forget()
-        name = f"{self.package}.{file.stem.replace('.', '_')}"
+        name = f"{self.package}.{_module_name(file)}"
         if name not in sys.modules:
             before = self._modules()
             try:
@@ -224,3 +224,11 @@ def _is_neighbour(folder: Path, name: str, shared: frozenset[str]) -> bool:
     if name in shared or not name.isidentifier():
         return False
     return (folder / f"{name}.py").is_file() or (folder / name / "__init__.py").is_file()
+
+
+def _module_name(file: Path) -> str:
+    """A name that no other file of the folder has; that of the file, where it can be imported."""
+    if file.stem.isidentifier():
+        return file.stem
+    digest = sha256(file.name.encode(errors="surrogatepass")).hexdigest()[:8]
+    return f"{file.stem.replace('.', '_')}_{digest}"

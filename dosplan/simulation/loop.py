@@ -118,7 +118,7 @@ def run_episode(
         end, error = failure.end, str(failure)
         on_failure(failure.cause)
     last = scenario.task.start_step if world is None else world.now
-    cycles = [cycle for cycle in log if cycle.acts <= last]  # The others never came to act.
+    cycles = [cycle for cycle in log if cycle.acts <= last]  # The others are of later.
     return Episode(
         scenario_id=scenario.id,
         arm=arm,

@@ -334,9 +334,11 @@ class _Others:
         same = np.all(self._size[rows] == users.size, axis=1)
         for i, (row, kind) in enumerate(zip(rows, users.kinds, strict=True)):
             same[i] &= self._kinds[row] is kind
+            same[i] &= _is_same(self._outlines[row], users.outlines[i])
         if not same.all():
             raise PluginError(
-                f"road user {ids[int(np.argmin(same))]} has another kind or size than before"
+                f"road user {ids[int(np.argmin(same))]} has another kind, size or outline "
+                "than before"
             )
         self._states[rows, step] = users.states
         self._valid[rows, step] = True
@@ -382,3 +384,10 @@ class _Others:
         states, valid = np.full((*shape, USER_SIZE), np.nan), np.zeros(shape, dtype=np.bool_)
         states[:rows, :columns], valid[:rows, :columns] = self._states, self._valid
         self._states, self._valid = states, valid
+
+
+def _is_same(outline: FloatArray | None, other: FloatArray | None) -> bool:
+    """Whether two outlines are one; None is a rectangle."""
+    if outline is None or other is None:
+        return outline is other
+    return outline is other or np.array_equal(outline, other)

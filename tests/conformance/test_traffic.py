@@ -155,7 +155,7 @@ BAD: list[tuple[type[Any], str, str]] = [
         "name one that it drives with --scenario FILE (it says that the scene has",
     ),
     (Elsewhere, "drives", "begin must return Tracks of the steps 0 to"),
-    (Grows, "drives", "has another kind or size than before"),
+    (Grows, "drives", "has another kind, size or outline than before"),
     (Nameless, "versioned_name", "give it a version"),
     (Dice, "deterministic", "differ in future 0"),
     (DicedFutures, "deterministic", "differ in future 1"),
@@ -199,7 +199,7 @@ def test_the_command_says_it(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     spec = f"{Path(__file__)}:{Grows.__name__}"
     assert main(["check", spec]) == FAILED
     shown = capsys.readouterr().out
-    assert "has another kind or size than before" in " ".join(shown.split())
+    assert "has another kind, size or outline than before" in " ".join(shown.split())
     assert main(["check", "replay"]) == OK
     assert main(["check", "replay", "--scenario", str(tmp_path / "none.xml")]) == BAD_INPUT
     assert main(["check", "cruise", "--kind", "planner", "--scenario", "x.xml"]) == BAD_INPUT

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -168,6 +169,23 @@ def test_a_wrong_step_is_found_out_and_can_be_given(
     assert main([*command, "--step", "0.04"]) == 0
     made = load_recording(tmp_path / "out" / "recordings" / f"{SCENE}_T-1.xml.gz")
     _is_where_they_were(made, MOTIONS, begin=1.0, speed_error=0.02)
+
+
+def test_a_state_of_before_the_initial_one_is_left_out(tmp_path: Path) -> None:
+    source = write_recording(tmp_path / "a.xml", MOTIONS)
+    tree = ElementTree.parse(source)
+    (obstacle, *_) = tree.getroot().iterfind("dynamicObstacle")
+    trajectory = obstacle.find("trajectory")
+    assert trajectory is not None
+    early = deepcopy(trajectory[0])
+    begin = int(obstacle.findtext("initialState/time/exact") or "")
+    for time in early.iterfind("time/exact"):
+        time.text = str(begin - 5)
+    trajectory.insert(0, early)
+    tree.write(source)
+    for step in (None, 0.1):
+        figures = convert_commonroad(source, tmp_path / f"out-{step}", step_seconds=step)
+        assert (figures["unreadable"], figures["recordings"]) == ([], 1)
 
 
 def test_files_that_cannot_be_used_are_named_and_the_others_converted(

@@ -288,6 +288,23 @@ def test_off_the_road_tells_side_and_depth(tmp_path: Path, heading: float, part:
     assert "on a straight, at 10.0 m/s" in text
 
 
+def test_an_open_end_of_the_map_is_no_edge(tmp_path: Path) -> None:
+    # The map ends where the ego starts, and 60 m further: beyond both, the road goes on.
+    scenario = straight_scenario()
+    start = VEHICLE.state_at(np.array([10.0, 0.0]), 0.3, 10.0)
+    ends = shapely.box(11.0, -1.75, 100.0, 5.25)
+    road = shapely.box(-50.0, -1.75, 11.0, 5.25)
+    road_map = replace(scenario.road_map, drivable=road, open_ends=ends)
+    task = replace(scenario.task, start=start)
+    facts = road_of(explained(tmp_path, replace(scenario, task=task, road_map=road_map)))
+    assert (facts.part, facts.corners_outside, facts.centre_outside) == ("front left", 1, False)
+    goal = GoalState(10, 50, shapely.box(20.0, -2.0, 40.0, 2.0))
+    straight = replace(straight_scenario(goals=[goal]), road_map=road_map)
+    left = explained(tmp_path / "straight", straight).margins
+    assert left is not None
+    assert left.road == pytest.approx(LANE_WIDTH / 2.0 - VEHICLE.width / 2.0)
+
+
 def test_off_the_road_in_a_bend(tmp_path: Path) -> None:
     # A left bend of 30 m: who drives straight on leaves it on the outside, which is the right.
     road = shapely.Point(0.0, 30.0).buffer(31.75, 256) - shapely.Point(0.0, 30.0).buffer(28.25, 256)

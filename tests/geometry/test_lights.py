@@ -91,6 +91,21 @@ def test_a_light_is_seen_from_the_lanelets_before() -> None:
     assert near.distance.tolist() == [np.inf, 78.0]
 
 
+def test_a_line_where_its_lanelet_begins_holds_for_those_before() -> None:
+    stop = -50.0
+    scenario = regulated_scenario()
+    road_map = _two_lanelets(scenario.road_map)
+    own, *others = road_map.lanelets
+    assert own.stop_line is not None
+    line = np.stack([np.full(2, stop), [0.5 * LANE_WIDTH, -0.5 * LANE_WIDTH]], axis=1)
+    own = replace(own, stop_line=replace(own.stop_line, ends=line))
+    road_map = replace(road_map, lanelets=(own, *others))
+    states = np.array([[-60.0, 0.0, 0.0, 5.0]])
+    found = LightIndex(road_map).ahead(states, _sizes(states), scenario.signals.at(0))
+    np.testing.assert_allclose(found.distance, stop - states[:, 0] - 0.5 * CAR[0])
+    assert found.colour.tolist() == [RED]
+
+
 def test_roads_without_lights_and_nobody_there() -> None:
     scenario = regulated_scenario()
     states = np.array([[10.0, 0.0, 0.0, 5.0]])

@@ -93,6 +93,16 @@ def test_neighbours_of_one_name_do_not_meet(tmp_path: Path) -> None:
     assert not list(tmp_path.rglob("*.pyc"))
 
 
+def test_files_of_names_that_are_alike_do_not_meet(tmp_path: Path) -> None:
+    plugin = write_plugin(tmp_path, imports="", acceleration="1.0").partition(":")[0]
+    wanted = {"a.b.py": 3, "a_b.py": 4, "a-b.py": 5}
+    for name, steps in wanted.items():
+        text = Path(plugin).read_text().replace("steps: int = 5", f"steps: int = {steps}")
+        (tmp_path / name).write_text(text)
+    found = {name: create_planner(f"{tmp_path / name}:Mine", 0, {}) for name in wanted}
+    assert {name: vars(planner)["steps"] for name, planner in found.items()} == wanted
+
+
 @pytest.mark.parametrize(
     ("imports", "acceleration", "late"),
     [

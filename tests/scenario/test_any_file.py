@@ -420,7 +420,7 @@ def test_an_l_is_two_rectangles(tmp_path: Path) -> None:
     true = shapely.Polygon(to_world(L, np.array([10.0, 20.0, 0.3])))
     assert shapely.symmetric_difference(covered(tracks), true).area == pytest.approx(0, abs=1e-6)
     assert scenario.notes == (
-        f"obstacle 7: it is not convex; its pieces are the road users 7 and {tracks.ids[1]}",
+        f"obstacle 7: its shape is taken in pieces, the road users 7 and {tracks.ids[1]}",
     )
 
 
@@ -500,6 +500,29 @@ def test_what_is_road_and_what_is_for_cars(
     _, read = scenario.road_map.lanelets
     assert (read.is_road, read.for_cars) == (is_road, for_cars)
     assert scenario.road_map.drivable.area == pytest.approx(200.0 * (7.0 if is_road else 3.5))
+
+
+def test_spaces_around_a_word_of_a_lanelet_count_for_nothing(tmp_path: Path) -> None:
+    text = scenario_xml(scenes.straight_road(2))
+    first, rest = text.split("<laneletType>urban<", 1)
+    file = tmp_path / "a.xml"
+    file.write_text(f"{first}<laneletType>\n sidewalk\n <{rest}")
+    own = load_scenario(file).road_map.lanelets[0]
+    assert (own.kinds, own.is_road, own.for_cars) == (frozenset({"sidewalk"}), False, False)
+
+
+def test_an_id_of_more_than_64_bits_is_told(tmp_path: Path) -> None:
+    name = 10**20
+    with pytest.raises(ScenarioError, match=f"has the id '{name}'; give it a whole number of 64 b"):
+        loaded(tmp_path, users=[User(name, [(60.0, 0.0, 0.0, 0.0)] * 3)])
+
+
+@pytest.mark.parametrize("tag", ["length", "width"])
+def test_a_negative_size_is_told(tmp_path: Path, tag: str) -> None:
+    size = {"length": 4.5, "width": 1.8} | {tag: -1.0}
+    user = User(7, [(60.0, 0.0, 0.0, 0.0)] * 3, shape=scenes.rectangle(**size))
+    with pytest.raises(ScenarioError, match=f"a <rectangle> has the {tag} -1; correct it"):
+        loaded(tmp_path, users=[user])
 
 
 def test_a_crossing_on_a_lane_leaves_the_lane_road(tmp_path: Path) -> None:

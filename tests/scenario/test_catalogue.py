@@ -8,6 +8,7 @@ import pytest
 
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
 from dosplan.scenario.commonroad import document
+from dosplan.scenario.sources.catalogue import Source
 from tests.support.scenes import Problem, write_scenario_xml
 
 
@@ -50,7 +51,16 @@ def test_a_file_is_read_again_only_when_it_has_changed(
 def test_hidden_files_are_passed_over(tmp_path: Path) -> None:
     write_scenario_xml(tmp_path / "a.xml", benchmark_id="ZAM_A-1_1_T-1")
     (tmp_path / "._a.xml").write_bytes(b"\0\5\x16\7")  # What macOS leaves in archives.
+    (tmp_path / ".trash").mkdir()
+    write_scenario_xml(tmp_path / ".trash" / "a.xml", benchmark_id="ZAM_A-1_1_T-1")
     assert [ref.path.name for ref in find_scenarios(tmp_path)] == ["a.xml"]
+
+
+def test_a_name_that_no_file_can_have_is_one_line() -> None:
+    sources: tuple[Source, ...] = ("a" * 300, ["suite", "b" * 300])
+    for source in sources:
+        with pytest.raises(ScenarioError, match=r"[ab]{300}: does not exist"):
+            find_scenarios(source)
 
 
 def test_files_of_one_id_are_told_apart_by_their_paths(tmp_path: Path) -> None:

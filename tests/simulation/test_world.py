@@ -193,7 +193,7 @@ class _Talking(ShyTraffic):
     ("traffic", "message"),
     [
         (_Unbegun, "begin must return Tracks of the steps 0 to 40"),
-        (_Shifting, "road user 100 has another kind or size than before"),
+        (_Shifting, "road user 100 has another kind, size or outline than before"),
         (_Talking, "step returned str, not RoadUsers"),
     ],
 )

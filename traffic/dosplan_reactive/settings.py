@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from enum import StrEnum
 
+from dosplan.types.checks import check_numbers
+
 
 class Manner(StrEnum):
     """Whom a road user gives way to."""
@@ -67,18 +69,11 @@ class Intentions:
     stepping_out_share: float = 0.2
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not value >= 0.0:
-                raise ValueError(f"{field.name} is {value:g}, expected 0 or more")
-            if field.name.endswith("_share") and value > 1.0:
-                raise ValueError(f"{field.name} is {value:g}, expected a share from 0 to 1")
+        shares = {field.name for field in fields(self) if field.name.endswith("_share")}
+        check_numbers(self, positive={"reaction_mean", "glance_median"}, shares=shares)
         for name in ("speed_deviation", "walking_deviation"):
             if getattr(self, name) > 0.25:
                 raise ValueError(f"{name} is {getattr(self, name):g}, expected 0.25 or less")
-        for name in ("reaction_mean", "glance_median"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} is {getattr(self, name):g}, expected more than 0")
 
 
 @dataclass(frozen=True)
@@ -119,10 +114,4 @@ class ReactiveSettings:
     intentions: Intentions = Intentions()
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, float) and not value >= 0.0:
-                raise ValueError(f"{field.name} is {value:g}, expected 0 or more")
-        for name in ("acceleration", "deceleration", "full_braking", "look_ahead"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} is {getattr(self, name):g}, expected more than 0")
+        check_numbers(self, positive={"acceleration", "deceleration", "full_braking", "look_ahead"})

@@ -98,9 +98,7 @@ class Simulation:
         _running = self
         try:
             with self.failures():
-                self.sumo.start(
-                    ["sumo", *(part for name in chosen for part in (f"--{name}", chosen[name]))]
-                )
+                self.sumo.start(["sumo", *(f"--{name}={value}" for name, value in chosen.items())])
         except BaseException:
             self.close()
             raise

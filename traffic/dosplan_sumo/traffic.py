@@ -33,6 +33,7 @@ from dosplan.types import (
     Scenario,
     Tracks,
 )
+from dosplan.types.checks import check_numbers
 from dosplan_sumo.acts import Acts, acts_file, read_acts
 from dosplan_sumo.demand import Demand, read_demand, read_offset, write_demand
 from dosplan_sumo.drivers import Drivers
@@ -90,8 +91,7 @@ class SumoSettings:
     sight: float = 150.0
 
     def __post_init__(self) -> None:
-        if not self.sight > 0.0:
-            raise ValueError(f"sight is {self.sight}; it must be more than 0")
+        check_numbers(self, positive={"sight"})
 
 
 @dataclass(frozen=True)
@@ -103,12 +103,15 @@ class _Known:
         kind: Its kind.
         size: Length and width, m.
         shift: (4,) difference of the file's state from SUMO's when the ego started.
+        outline: (V, 2) polygon in the body frame, m, where the file gives it another shape than
+            the rectangle of ``size``.
     """
 
     id: int
     kind: RoadUserKind
     size: tuple[float, float]
     shift: FloatArray
+    outline: FloatArray | None = None
 
 
 class SumoTraffic(Traffic):
@@ -329,6 +332,7 @@ class SumoTraffic(Traffic):
             kinds=tuple(known.kind for known, _ in rows),
             size=np.reshape([known.size for known, _ in rows], (-1, 2)),
             states=np.reshape([state for _, state in rows], (-1, USER_SIZE)),
+            outlines=tuple(known.outline for known, _ in rows),
         )
 
     def lights(self, step: int) -> LightStates | None:
@@ -634,7 +638,9 @@ def _difference(one: FloatArray, other: FloatArray) -> FloatArray:
 def _of(past: Tracks, row: int) -> _Known:
     """What the file tells of somebody who is where it says."""
     size = (float(past.size[row, 0]), float(past.size[row, 1]))
-    return _Known(int(past.ids[row]), past.kinds[row], size, np.zeros(USER_SIZE))
+    return _Known(
+        int(past.ids[row]), past.kinds[row], size, np.zeros(USER_SIZE), past.outlines[row]
+    )
 
 
 def _size(sumo: Any, user: User) -> tuple[float, float]:

@@ -7,7 +7,7 @@ knows to the wrong value: ``obstacle 7: state 12: the <velocity> is 'fast', no n
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Final
 from xml.etree.ElementTree import Element
 
@@ -20,6 +20,7 @@ MAX_NUMBER: Final = 1e9
 """Largest number that a file may hold; what is larger is no length, step or speed."""
 _SHOWN: Final = 40
 """Characters of a text that a message shows."""
+_LARGEST_ID: Final = 2**63 - 1
 _NAMES: Final = {
     "planningProblem": "planning problem",
     "trafficSign": "traffic sign",
@@ -114,16 +115,16 @@ def identity(element: Element) -> int:
         Its id.
 
     Raises:
-        FaultError: It has none that is a whole number.
+        FaultError: It has none that is a whole number of 64 bits.
     """
     text = element.get("id")
-    try:
-        return int(text or "")
-    except ValueError:
-        raise FaultError(
-            f"{_NAMES.get(element.tag, element.tag)} has the id {quoted(text)}; "
-            "give it a whole number"
-        ) from None
+    with suppress(ValueError):
+        if abs(found := int(text or "")) <= _LARGEST_ID:
+            return found
+    raise FaultError(
+        f"{_NAMES.get(element.tag, element.tag)} has the id {quoted(text)}; "
+        "give it a whole number of 64 bits"
+    )
 
 
 def references(element: Element, tag: str) -> list[int]:

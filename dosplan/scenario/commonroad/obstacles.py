@@ -342,7 +342,7 @@ def _tracks(
         if len(own) > 1:
             others = str(own[1]) if len(own) == 2 else f"{own[1]} to {own[-1]}"
             notes.append(
-                f"obstacle {obstacle.id}: it is not convex; its pieces are the road users "
+                f"obstacle {obstacle.id}: its shape is taken in pieces, the road users "
                 f"{obstacle.id} and {others}"
             )
         ids += own

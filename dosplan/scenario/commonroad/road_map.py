@@ -137,7 +137,7 @@ def read_road_map(root: Element) -> MapReading:
 
     Links that one of two lanelets leaves out are completed from the other. Links to lanelets that
     the file does not hold are dropped, and so are those between a lanelet for cars and one that is
-    not.
+    not. Neighbours whose traffic comes the other way are those that the file names and holds.
 
     Args:
         root: The file's root element.
@@ -157,12 +157,12 @@ def read_road_map(root: Element) -> MapReading:
             raise FaultError(f"names lanelet {name} twice; give one of them another id")
         with naming(label(element)):
             found[name] = _lanelet(element, name, plates, notes)
-    if circle := _goes_round(found.values()):
+    lanelets = tuple(_linked(found).values())
+    if circle := _goes_round(lanelets):
         raise FaultError(
             f"lanelet {circle} leads back to itself from neighbour to neighbour on the same side; "
             "correct <adjacentLeft> and <adjacentRight>"
         )
-    lanelets = tuple(_linked(found).values())
     lights = read_lights(root, notes)
     two_way = frozenset(
         identity(x) for x in root.iterfind("lanelet") if x.find("userBidirectional") is not None
@@ -426,8 +426,8 @@ def _is_used_by(element: Element, who: frozenset[str], excluded: frozenset[str])
 
     A crossing that names them is a lane that is crossed, a bus lane that does is theirs too.
     """
-    users = {x.text for tag in ("userOneWay", "userBidirectional") for x in element.iterfind(tag)}
-    types = {x.text for x in element.iterfind("laneletType")}
+    users = _words(element, "userOneWay") | _words(element, "userBidirectional")
+    types = _words(element, "laneletType")
     if not users.isdisjoint(who):
         types -= {"crosswalk", "busLane"}
     return types.isdisjoint(excluded) and (not users or not users.isdisjoint(who))

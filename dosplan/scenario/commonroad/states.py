@@ -86,13 +86,20 @@ def _part(element: Element) -> Part:
     if element.tag == "circle":
         angle = 2.0 * np.pi * np.arange(CIRCLE_VERTICES) / CIRCLE_VERTICES
         circle = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-        radius = scalar(element, "radius") / np.cos(np.pi / CIRCLE_VERTICES)
+        radius = _size(element, "radius") / np.cos(np.pi / CIRCLE_VERTICES)
         return Part(np.asarray(middle) + radius * circle)
     turned = element.find("orientation")
     heading = 0.0 if turned is None else scalar(element, "orientation")
     pose = np.array([*middle, heading])
-    size = np.array([scalar(element, "length"), scalar(element, "width")])
+    size = np.array([_size(element, "length"), _size(element, "width")])
     return Part(rectangle_corners(pose, size), (pose, size))
+
+
+def _size(element: Element, tag: str) -> float:
+    found = scalar(element, tag)
+    if found < 0.0:
+        raise FaultError(f"a <{element.tag}> has the {tag} {found:g}; correct it")
+    return found
 
 
 def region(parts: list[Part]) -> shapely.Polygon | shapely.MultiPolygon:

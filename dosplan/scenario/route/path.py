@@ -203,6 +203,11 @@ def _change(u: FloatArray) -> FloatArray:
     return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
 
 
+def _neighbour(lanelet: Lanelet, side: str, lanelets: Mapping[int, Lanelet]) -> Lanelet | None:
+    name = getattr(lanelet, side)  # Zero is an id, too.
+    return None if name is None else lanelets.get(name)
+
+
 def _shared(
     run: list[Lanelet], following: list[Lanelet], lanelets: Mapping[int, Lanelet]
 ) -> list[tuple[Lanelet, Lanelet]]:
@@ -211,12 +216,12 @@ def _shared(
     other = "right_neighbour" if side == "left_neighbour" else "left_neighbour"
     pairs = [(run[-1], following[0])]
     for lanelet in run[-2::-1]:
-        beside = lanelets.get(getattr(lanelet, side) or -1)
+        beside = _neighbour(lanelet, side, lanelets)
         if beside is None or pairs[0][1].id not in beside.successors:
             break
         pairs.insert(0, (lanelet, beside))
     for lanelet in following[1:]:
-        beside = lanelets.get(getattr(lanelet, other) or -1)
+        beside = _neighbour(lanelet, other, lanelets)
         if beside is None or beside.id not in pairs[-1][0].successors:
             break
         pairs.append((beside, lanelet))

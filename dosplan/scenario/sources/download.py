@@ -11,7 +11,8 @@ from urllib.error import HTTPError, URLError
 from urllib.parse import unquote, urlsplit
 from urllib.request import Request, urlopen
 
-from dosplan.scenario.commonroad.document import ScenarioError
+from dosplan.scenario.commonroad.document import SUFFIXES, ScenarioError
+from dosplan.scenario.sources.archives import ENDINGS
 from dosplan.system.files import FileError, atomic_file, file_name, write_text
 from dosplan.system.folders import cache_folder
 
@@ -38,7 +39,10 @@ def downloaded(url: str) -> Path:
     Raises:
         ScenarioError: The server does not give the file, or the cache cannot be written.
     """
-    name = file_name(unquote(PurePosixPath(urlsplit(url).path).name) or "index")
+    told = unquote(PurePosixPath(urlsplit(url).path).name) or "index"
+    # What is too long is cut, but for the ending, which says what the file is.
+    ending = next((end for end in (*SUFFIXES, *ENDINGS) if told.lower().endswith(end)), "")
+    name = file_name(told[: len(told) - len(ending)]) + ending
     folder = cache_folder() / "downloads" / sha256(url.encode()).hexdigest()[:32]
     copy, marks = folder / name, folder / "marks.json"
     request = Request(url, headers=_known(copy, marks))  # noqa: S310 - one of SCHEMES

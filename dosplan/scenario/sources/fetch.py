@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, cast
@@ -58,7 +58,7 @@ def candidates(source: str | Path) -> list[Candidate]:
         ScenarioError: There is no such thing, or an archive cannot be unpacked.
     """
     found = _named(Path(), str(source))
-    if not found and not (there := place(source)).exists():
+    if not found and not _holds((there := place(source)).exists):
         raise ScenarioError(there, _NOTHING)
     return list({candidate.path: candidate for candidate in found}.values())
 
@@ -175,9 +175,9 @@ def _at(where: Path, label: str, chosen: bool = True) -> list[Candidate]:
 
     A file that is not chosen counts only where it has the name of a scenario.
     """
-    if where.is_dir():
+    if _holds(where.is_dir):
         return _in_folder(where, label)
-    if not where.is_file():
+    if not _holds(where.is_file):
         return []
     if is_archive(where):
         return _in_folder(unpacked(where), label)
@@ -185,11 +185,20 @@ def _at(where: Path, label: str, chosen: bool = True) -> list[Candidate]:
 
 
 def _in_folder(folder: Path, label: str) -> list[Candidate]:
+    inside = ((file, file.relative_to(folder)) for file in sorted(folder.rglob("*.xml*")))
     return [
-        Candidate(file, "/".join(filter(None, (label, file.relative_to(folder).as_posix()))))
-        for file in sorted(folder.rglob("*.xml*"))
-        if is_scenario(file.name)
+        Candidate(file, "/".join(filter(None, (label, name.as_posix()))))
+        for file, name in inside
+        if is_scenario(name.name) and not any(part.startswith(".") for part in name.parts)
     ]
+
+
+def _holds(test: Callable[[], bool]) -> bool:
+    """Whether a path is what is asked; a name that no file can have, as it is too long, is not."""
+    try:
+        return test()
+    except OSError:
+        return False
 
 
 def _by_id(folder: Path, wanted: str, suites: Suites) -> list[Candidate]:
@@ -197,5 +206,5 @@ def _by_id(folder: Path, wanted: str, suites: Suites) -> list[Candidate]:
     scenario = wanted.partition("@")[0]
     beside = (folder / f"{scenario}{suffix}" for suffix in SUFFIXES)
     embedded = (files[scenario] for files in suites.values() if scenario in files)
-    path = next((file for file in beside if file.is_file()), next(embedded, None))
+    path = next((file for file in beside if _holds(file.is_file)), next(embedded, None))
     return [] if path is None else [Candidate(path, wanted, chosen=True, wanted=wanted)]

@@ -10,6 +10,7 @@ its folder, and options that say how traffic is driven; what it wants to write i
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -46,7 +47,8 @@ OPTIONS: Final = frozenset(
     }
 )
 """Options of a configuration that are taken over."""
-_VALUE: Final = re.compile(r"[A-Za-z0-9.+-]{1,32}")
+_VALUE: Final = re.compile(r"(?=.{1,32}$)(-?[0-9.]|[A-Za-z])[A-Za-z0-9.+-]*")
+"""A word or a number: what begins with a sign and a letter is another option of SUMO."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +133,8 @@ def read_configuration(path: Path) -> SumoFiles:
     if not found["route-files"]:
         raise ScenarioError(path, "names no <route-files>; SUMO needs them to know who drives")
     for option in OPTIONS & values.keys():
-        if not _VALUE.fullmatch(values[option]):
+        begins = option != "begin" or _is_number(values[option])
+        if not begins or not _VALUE.fullmatch(values[option]):
             raise ScenarioError(path, f"gives <{option}> no value that it can have; correct it")
     return SumoFiles(
         configuration=path,
@@ -155,6 +158,13 @@ def read_xml(path: Path) -> bytes:
         ScenarioError: It cannot be read.
     """
     return unpacked(path, read_file(path))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
 
 
 def _files(configuration: Path, names: str) -> tuple[Path, ...]:

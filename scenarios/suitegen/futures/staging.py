@@ -99,8 +99,8 @@ class Staging:
         road: Network, background traffic and tags.
         cast: Who is placed; the one called ``ego`` stands in for the ego.
         moment: The first step at which it is true becomes the ego's start.
-        futures: Gives future k, with a generator of its own. Where all that are drawn have one
-            intention, all are drawn again.
+        futures: Gives future k, with a generator that all futures share. Where all that are drawn
+            have one intention, all are drawn again.
         goal: Centre of the goal, which the stand-in reaches in every future.
         goal_size: Length and width of the goal, m.
         branch: Time from the ego's start to the begin of the scripts, s; ``FIRST_BRANCH`` or more.

@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from dosplan.system.files import write_json
 from suitegen.futures.build import Built, Place, attempt_at, build, drives_csv, places
 from suitegen.futures.simulate import RejectedError
 from suitegen.manifest import write_manifest
@@ -134,7 +135,7 @@ def _keep(folder: Path, built: Built) -> None:
         "start": built.start,
         "rejected": built.rejected,
     }
-    (folder / f"{built.row['id']}.json").write_text(json.dumps(content), encoding="utf-8")
+    write_json(folder / f"{built.row['id']}.json", content)
 
 
 def _kept(folder: Path, place: Place, seed: int) -> Built | None:

@@ -53,6 +53,9 @@ def test_of_a_configuration_inputs_and_how_to_drive_are_taken(tmp_path: Path) ->
         (INPUTS.replace("a.rou.xml", "a.rou.xml,link.rou.xml"), "not in its folder"),
         (INPUTS + '<additional-files value="x\x7f/../../y"/>', "not in its folder"),
         (INPUTS + '<seed value="1 --fcd-output x"/>', "<seed> no value that it can have"),
+        (INPUTS + '<ignore-route-errors value="--fcd-output"/>', "<ignore-route-errors> no value"),
+        (INPUTS + '<lateral-resolution value="-v"/>', "<lateral-resolution> no value"),
+        (INPUTS + '<begin value="soon"/>', "<begin> no value that it can have"),
         ("<net-file", "is not complete XML"),
     ],
 )

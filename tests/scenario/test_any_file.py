@@ -517,14 +517,6 @@ def test_an_id_of_more_than_64_bits_is_told(tmp_path: Path) -> None:
         loaded(tmp_path, users=[User(name, [(60.0, 0.0, 0.0, 0.0)] * 3)])
 
 
-@pytest.mark.parametrize("tag", ["length", "width"])
-def test_a_negative_size_is_told(tmp_path: Path, tag: str) -> None:
-    size = {"length": 4.5, "width": 1.8} | {tag: -1.0}
-    user = User(7, [(60.0, 0.0, 0.0, 0.0)] * 3, shape=scenes.rectangle(**size))
-    with pytest.raises(ScenarioError, match=f"a <rectangle> has the {tag} -1; correct it"):
-        loaded(tmp_path, users=[user])
-
-
 def test_a_crossing_on_a_lane_leaves_the_lane_road(tmp_path: Path) -> None:
     lane = scenes.straight_road(lanes=1)[0]
     crossing = replace(

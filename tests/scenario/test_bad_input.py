@@ -92,10 +92,13 @@ def test_an_episode_that_starts_far_away_takes_no_memory(
     _refused(tmp_path, late, f"more than {MAX_STATES} states")
 
 
-@pytest.mark.parametrize("width", ["0", "-1.8"])
-def test_a_road_user_without_a_size_is_named(tmp_path: Path, width: str) -> None:
+@pytest.mark.parametrize(
+    ("width", "line"),
+    [("0", "it is 4.5 m by 0 m"), ("-1.8", "a <rectangle> has the width -1.8; correct it")],
+)
+def test_a_road_user_without_a_size_is_named(tmp_path: Path, width: str, line: str) -> None:
     text = _replaced("<width>1.8</width>", f"<width>{width}</width>")
-    _refused(tmp_path, text, f"obstacle 7: it is 4.5 m by {width} m")
+    _refused(tmp_path, text, f"obstacle 7: {line}")
 
 
 @pytest.mark.parametrize("length", [MAX_SIZE, MAX_SIZE + 1.0])

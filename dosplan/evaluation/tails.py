@@ -23,14 +23,14 @@ from typing import Any, Final
 import numpy as np
 
 from dosplan.evaluation.kept_sets import KeptSets
-from dosplan.results.drive import Drive, DrivenScenarios, find_recording
+from dosplan.results.drive import Drive, DrivenScenarios, drives_of
 from dosplan.results.folder import RunFolder
 from dosplan.results.intervals import Interval, share_interval
 from dosplan.results.recording import Recording
 from dosplan.results.rows import read_run
 from dosplan.system.files import FileError
 from dosplan.system.provenance import describe_environment
-from dosplan.types import STEP_SECONDS, Arm, BoolArray, FloatArray, IntArray, Scenario, Tracks
+from dosplan.types import STEP_SECONDS, Arm, BoolArray, FloatArray, IntArray, Tracks
 
 NEAR: Final = 20.0
 """m between the centres of ego and road user at the step that is compared."""
@@ -152,13 +152,9 @@ def evaluate_drives(
     struck: list[dict[str, Any]] = []
     progress(0, len(by_scenario))
     for done, (name, episodes) in enumerate(by_scenario.items(), 1):
-        scene: Scenario | None = None
-        for row in episodes:
-            recording = find_recording(folder, row)
-            if recording is None:
+        for row, drive in drives_of(folder, episodes, scenes):
+            if drive is None:
                 continue
-            scene = scene or scenes.load(name)
-            drive = Drive(row, recording, scene)
             compared = compare_sets(drive.recording, drive.tracks, drive.ego[:, :2])
             parts.append(compared)
             of.append(name)

@@ -90,10 +90,10 @@ def road_facts(drive: Drive, step: int) -> RoadFacts:
     Returns:
         The facts.
     """
-    depths, points = _depths(drive)
+    area = _road_around(drive)
+    depths, points = _depths(drive, area)
     first, worst = step - drive.start, int(np.argmax(depths))
     corners = rectangle_corners(drive.ego[first, :3], drive.vehicle.size)
-    area = _road_around(drive)
     centre, state = shapely.Point(drive.ego[first, :2]), drive.states[first]
     curvature, offset, left, right = _beside(drive.scenario.task.route, drive.ego[first, :2])
     velocity = float(state[EGO_VELOCITY])
@@ -127,18 +127,17 @@ def _road_around(drive: Drive) -> shapely.Geometry:
     return drive.scenario.road_map.road_within(*box.bounds)
 
 
-def _depths(drive: Drive) -> tuple[FloatArray, FloatArray]:
+def _depths(drive: Drive, road: shapely.Geometry) -> tuple[FloatArray, FloatArray]:
     """(K + 1,) depth, m, and (K + 1, 2) the farthest point of the rectangle's part outside."""
     shapes = shapely.polygons(rectangle_corners(drive.ego[:, :3], drive.vehicle.size))
-    around = _road_around(drive)
     depths, points = np.zeros(len(shapes)), np.array(drive.ego[:, :2])
-    for i, part in enumerate(shapely.difference(shapes, around)):
+    for i, part in enumerate(shapely.difference(shapes, road)):
         if shapely.area(part) == 0.0:
             continue
         # Over a notch, the farthest point is on a side of the rectangle; over a gap, inside it.
         inner = shapely.get_coordinates(shapely.maximum_inscribed_circle(part, _FINE))[:1]
         tried = np.vstack([shapely.get_coordinates(shapely.segmentize(part, _FINE)), inner])
-        distances = shapely.distance(shapely.points(tried), around)
+        distances = shapely.distance(shapely.points(tried), road)
         depths[i], points[i] = distances.max(), tried[distances.argmax()]
     return depths, points
 

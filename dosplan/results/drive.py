@@ -245,14 +245,35 @@ def find_drives(
     ]
     if not rows:
         raise FileError(f"{path} holds no finished episode of {scenario} in {' or '.join(arms)}")
+    return drives_of(folder, rows, DrivenScenarios(manifest, source))
+
+
+def drives_of(
+    folder: RunFolder, rows: Sequence[Score], scenarios: DrivenScenarios
+) -> list[tuple[Score, Drive | None]]:
+    """Reads the drives of some episodes of one scenario, which is read where one was recorded.
+
+    Args:
+        folder: The run folder.
+        rows: The episodes' rows.
+        scenarios: Those of the run.
+
+    Returns:
+        Each row with its drive; None where the episode failed before it began.
+
+    Raises:
+        FileError: A recording or the scenario cannot be read, or is not the one that was driven.
+    """
     recordings = [find_recording(folder, row) for row in rows]
-    if not any(recordings):
-        return [(row, None) for row in rows]
-    scene = DrivenScenarios(manifest, source).load(scenario)
-    return [
-        (row, None if recording is None else Drive(row, recording, scene))
-        for row, recording in zip(rows, recordings, strict=True)
-    ]
+    scene: Scenario | None = None
+    drives: list[tuple[Score, Drive | None]] = []
+    for row, recording in zip(rows, recordings, strict=True):
+        if recording is None:
+            drives.append((row, None))
+            continue
+        scene = scene or scenarios.load(row.scenario)
+        drives.append((row, Drive(row, recording, scene)))
+    return drives
 
 
 class DrivenScenarios:

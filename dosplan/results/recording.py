@@ -21,6 +21,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from dosplan.scoring.part import scored_cycles
 from dosplan.system.arrays_file import from_arrays, pack
 from dosplan.system.errors import one_line
 from dosplan.system.files import FileError, write_bytes
@@ -189,7 +190,7 @@ class Recording:
         Returns:
             (C,) ms.
         """
-        return self.cycle_ms[_scored(self.cycle_steps, self.start_step, steps)]
+        return self.cycle_ms[scored_cycles(self.cycle_steps, self.start_step, steps)]
 
     @property
     def weights(self) -> FloatArray:
@@ -379,7 +380,7 @@ def load_cycle_ms(path: Path, steps: int) -> FloatArray:
             start = json.loads(bytes(file["header"]))["start_step"]
         else:
             start = int(file["start_step"])
-        return times[_scored(file["cycle_steps"], start, steps)]
+        return times[scored_cycles(file["cycle_steps"], start, steps)]
 
 
 @contextmanager
@@ -394,11 +395,6 @@ def _opened(path: Path) -> Iterator[Any]:
         raise FileError(
             f"{path} is not an episode file of this version: {one_line(error)}"
         ) from None
-
-
-def _scored(cycle_steps: IntArray, start_step: int, steps: int) -> BoolArray:
-    """(C,) which cycles a step of the scored drive follows, as ``dosplan.scoring`` counts them."""
-    return np.asarray(cycle_steps < start_step + steps)
 
 
 def _seconds(arrays: Mapping[str, Any], part: str) -> FloatArray:

@@ -16,18 +16,17 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
 
-from dosplan.results.drive import Drive, DrivenScenarios, find_recording
+from dosplan.results.drive import Drive, DrivenScenarios, drives_of
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest
 from dosplan.results.markdown import summary_markdown
-from dosplan.results.recording import Recording
 from dosplan.results.rows import read_run, write_rows
 from dosplan.results.summary import summarise_run, write_summary
 from dosplan.scenario.sources.catalogue import Source
 from dosplan.scoring.score import score_driven
 from dosplan.system.errors import one_line
 from dosplan.system.files import FileError, write_text
-from dosplan.types import EpisodeKey, Scenario, Score
+from dosplan.types import EpisodeKey, Score
 
 _INEXACT: Final = ("cycle_ms_p50", "cycle_ms_p99")
 _INEXACT_MEASURES: Final = ("max_slack", "slack_cycles", "max_road_slack")
@@ -95,24 +94,18 @@ def rescore(path: Path, source: Source | None = None) -> Rescored:
     scenarios = DrivenScenarios(manifest, source)
     now: list[Score] = []
     kept = 0
-    for name, rows in groupby(before, lambda row: row.scenario):
-        episodes = [(row, find_recording(folder, row)) for row in rows]
-        scenario: Scenario | None = None
-        for row, recording in episodes:
-            if recording is None:
-                kept += 1
-                now.append(row)
-                continue
-            scenario = scenario or scenarios.load(name)
-            now.append(_scored(row, recording, scenario))
+    for _, rows in groupby(before, lambda row: row.scenario):
+        for row, drive in drives_of(folder, list(rows), scenarios):
+            kept += drive is None
+            now.append(row if drive is None else _scored(drive))
     changes = [_change(*pair) for pair in zip(before, now, strict=True) if pair[0] != pair[1]]
     return Rescored(folder, manifest, tuple(now), tuple(changes), kept)
 
 
-def _scored(row: Score, recording: Recording, scenario: Scenario) -> Score:
-    drive = Drive(row, recording, scenario)
+def _scored(drive: Drive) -> Score:
+    row, recording = drive.row, drive.recording
     try:
-        found = score_driven(scenario, recording, drive.tracks)
+        found = score_driven(drive.scenario, recording, drive.tracks)
     except (ValueError, KeyError) as error:  # Raised for the plans of a damaged file.
         raise FileError(
             f"the episode file of {row.key.title}, cannot be scored: {one_line(error)}"

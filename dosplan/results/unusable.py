@@ -41,8 +41,15 @@ def unusable_scenarios(rows: Iterable[Score]) -> tuple[Unusable, ...]:
         Each once, in the order of the rows.
     """
     errors = {row.scenario: row.error or "" for row in rows if row.outcome is Outcome.UNUSABLE}
-    parts = {scenario: _AFTER_FILE.split(error, maxsplit=1) for scenario, error in errors.items()}
-    return tuple(Unusable(name, file, " ".join(rest)) for name, (file, *rest) in parts.items())
+    return tuple(Unusable(name, *_file_and_reason(error)) for name, error in errors.items())
+
+
+def _file_and_reason(error: str) -> tuple[str, str]:
+    """The parts of a ``ScenarioError``; a file that is named by itself may have any ending."""
+    if (found := _AFTER_FILE.search(error)) is not None:
+        return error[: found.start()], error[found.end() :]
+    file, _, reason = error.partition(": ")
+    return file, reason
 
 
 def unusable_title(found: Sequence[Unusable], total: int) -> str:

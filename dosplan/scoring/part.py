@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from dosplan.scoring.comfort import Comfort
 from dosplan.scoring.lanes import DrivenLanes, lanes_of
 from dosplan.types import (
@@ -44,6 +46,20 @@ class DrivenPart:
     def lanes(self) -> DrivenLanes:
         """On which lanelets the ego drives."""
         return lanes_of(self.ego, self.scenario.road_map)
+
+
+def scored_cycles(cycle_steps: IntArray, start_step: int, steps: int) -> IntArray:
+    """Finds the planning cycles that a step of the scored drive follows; others may come later.
+
+    Args:
+        cycle_steps: (C,) step at which the plan of each cycle begins.
+        start_step: Step at which the ego starts.
+        steps: Steps of the drive that is scored.
+
+    Returns:
+        Their indices.
+    """
+    return np.flatnonzero(cycle_steps < start_step + steps).astype(np.int64)
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ from dosplan.scoring.comfort import comfort
 from dosplan.scoring.fault import BEHIND_ANGLE, STOPPED_VELOCITY, STRUCK, at_fault, classify
 from dosplan.scoring.imposed import CUT_IN_BRAKING, cut_in_demand
 from dosplan.scoring.metrics import failed_measures, measured, measured_kinds
-from dosplan.scoring.part import ScoredPart, signals_of
+from dosplan.scoring.part import ScoredPart, scored_cycles, signals_of
 from dosplan.scoring.progress import is_time_alone, makes_progress, needed_progress
 from dosplan.types import (
     EGO_HEADING,
@@ -186,7 +186,7 @@ def score_driven(scenario: Scenario, episode: DrivenEpisode, tracks: Tracks) -> 
         outcome = Outcome.GOAL_MISSED
 
     ride = comfort(states, scenario.dt)
-    cycles = np.flatnonzero(episode.cycle_steps < start + driven)
+    cycles = scored_cycles(episode.cycle_steps, start, driven)
     part = ScoredPart(
         scenario=scenario,
         start_step=start,

@@ -50,7 +50,7 @@ PLUGINS_USED = ("--planner", f"{PLUGINS}:CoastPlanner", "--predictor", STILL)
 
 
 def test_a_folder_may_have_a_colon_in_its_name() -> None:
-    for file in ("/d/run: one/x.xml", "C: /x.xml.gz"):
+    for file in ("/d/run: one/x.xml", "C: /x.xml.gz", "/d/x.pb"):
         row = failed_score(
             EpisodeKey("x", Arm.WITH_DOS), f"{file}: it has: no goal", Outcome.UNUSABLE
         )

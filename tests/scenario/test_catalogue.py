@@ -112,3 +112,14 @@ def test_problems_are_counted_whatever_surrounds_them(tmp_path: Path, encoding: 
         "ZAM_B-1_1_T-1@100",
         "ZAM_B-1_1_T-1@101",
     ]
+
+
+def test_a_folder_that_may_not_be_looked_into_is_not_called_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path) -> bool:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "is_dir", refuse)
+    with pytest.raises(PermissionError):
+        find_scenarios(str(tmp_path / "closed"))

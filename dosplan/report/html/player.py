@@ -23,6 +23,7 @@ from dosplan.report.html.predictions import prediction_blocks
 from dosplan.report.road_paint import Look, crosswalks, lamps, lines, plates, stop_lines
 from dosplan.report.sight import is_elsewhere
 from dosplan.results.drive import Drive
+from dosplan.scoring.part import scored_cycles
 from dosplan.system.files import FileError
 from dosplan.types import (
     EGO_VELOCITY,
@@ -172,8 +173,7 @@ def _encode_seen(
 
 def _shown_cycles(drive: Drive) -> IntArray:
     """Rows of the planning cycles that act before the end of the scored drive."""
-    kept = drive.recording.cycle_steps < drive.start + drive.row.steps
-    return np.flatnonzero(kept).astype(np.int64)
+    return scored_cycles(drive.recording.cycle_steps, drive.start, drive.row.steps)
 
 
 def _place(drive: Drive) -> FloatArray:

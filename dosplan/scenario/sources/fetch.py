@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -197,7 +198,9 @@ def _holds(test: Callable[[], bool]) -> bool:
     """Whether a path is what is asked; a name that no file can have, as it is too long, is not."""
     try:
         return test()
-    except OSError:
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
         return False
 
 

@@ -150,7 +150,7 @@ def moments(track: Track, dt: float) -> Iterator[Moment]:
     for start in range(max(track.first, 0), track.last - least + 1, stride):
         arrival = min(start + most, track.last)
         moment = Moment(track, dt, max(start - before, 0), start, arrival)
-        if _asks_for_driving(moment.drive()):
+        if asks_for_driving(moment.drive()):
             yield moment
 
 
@@ -159,8 +159,16 @@ def _steps(count: int, dt: float) -> int:
     return round(count * STEP_SECONDS / dt)
 
 
-def _asks_for_driving(states: FloatArray) -> bool:
-    """Whether braking to a stop from the start ends short of the recorded arrival."""
+def asks_for_driving(states: FloatArray) -> bool:
+    """Whether a drive moves at its start, and goes further than braking to a stop would.
+
+    Args:
+        states: (K + 1, S) states from the start to the recorded arrival, in the order of
+            ``USER_X`` to ``USER_VELOCITY``: m, m, rad, m/s.
+
+    Returns:
+        Whether a planner that only brakes would miss its end.
+    """
     speed = states[0, 3]
     way = float(np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1).sum())
     return bool(speed >= MIN_START_SPEED and way >= speed**2 / (2.0 * BRAKING) + MARGIN)

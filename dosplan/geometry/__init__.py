@@ -22,6 +22,7 @@ from dosplan.geometry.path import (
 from dosplan.geometry.plane import (
     areas,
     close_seams,
+    cross,
     lanelet_cells,
     lanelet_polygon,
     lanelet_union,
@@ -54,6 +55,7 @@ __all__ = [
     "braking_envelope",
     "close_seams",
     "covering_ellipse",
+    "cross",
     "ellipse_area",
     "ellipse_boundary",
     "ellipse_extent",

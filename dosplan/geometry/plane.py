@@ -67,6 +67,19 @@ def to_body(points: FloatArray, poses: FloatArray) -> FloatArray:
     return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
 
 
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """How far pairs of vectors turn from the first to the second: positive to the left.
+
+    Args:
+        a: (..., 2) vectors.
+        b: (..., 2) vectors.
+
+    Returns:
+        (...) products of their lengths and the sine of the angle between them.
+    """
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
 def rectangle_corners(poses: FloatArray, size: npt.ArrayLike) -> FloatArray:
     """Corners of rectangles, counter-clockwise from the front left.
 

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from dosplan.geometry import rectangle_corners, to_world, wrap_angle
+from dosplan.geometry import cross, rectangle_corners, to_world, wrap_angle
 from dosplan.simulation.traffic import RoadUsers
 from dosplan.types import USER_HEADING, BoolArray, FloatArray, IntArray
 
@@ -43,9 +43,9 @@ def visible(eye: FloatArray, users: RoadUsers) -> BoolArray:
     number = low[edge] + np.arange(len(edge)) - np.repeat(np.cumsum(each) - each, each)
     way = np.stack([np.cos(number * ray), np.sin(number * ray)], axis=-1)
     along = (b - a)[edge]
-    sine = _cross(way, along)
+    sine = cross(way, along)
     met = np.abs(sine) > 0.0  # Not along the edge itself: its neighbours are met there.
-    distance = np.where(met, _cross(a[edge], along) / np.where(met, sine, 1.0), np.inf)
+    distance = np.where(met, cross(a[edge], along) / np.where(met, sine, 1.0), np.inf)
     nearest = np.full(RAYS, np.inf)
     np.minimum.at(nearest, number % RAYS, distance)
     reached = distance <= nearest[number % RAYS] + _SAME
@@ -67,7 +67,3 @@ def _edges(users: RoadUsers) -> tuple[FloatArray, FloatArray, IntArray]:
     owner = np.repeat(np.arange(len(shapes)), [len(shape) for shape in shapes])
     following = [np.roll(shape, -1, axis=0) for shape in shapes]
     return np.concatenate(shapes), np.concatenate(following), owner
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from dosplan.convert.windows import asks_for_driving
 from dosplan.geometry import rectangle_corners, wrap_angle
 from dosplan.types import FloatArray
 from dosplan.vehicle import VehicleParameters
@@ -31,11 +32,8 @@ EARLY = (15, 25)
 START_STRIDE = 7
 SIGHT = 90.0
 """Road users that never come this close to the ego's recorded drive are left out, m."""
-MIN_START_SPEED = 3.0
 FOCUS_RADIUS = 25.0
 """The ego's recorded drive comes this close to what its road kind is named after, m."""
-BRAKING = 3.0
-"""Deceleration of the stop that must end short of the goal, m/s2."""
 CLEARANCE = 0.15
 """Least distance of the recorded ego from all road users, m."""
 CROSSING_ANGLE = 0.6
@@ -108,7 +106,7 @@ def moments(
         if start + drive + slack > ego.last:
             continue
         states = ego.window(start, start + drive)
-        if not (_asks_for_driving(states) and _reaches(states, focus)):
+        if not (asks_for_driving(states) and _reaches(states, focus)):
             continue
         first, last = start - history, start + drive + slack
         others = tuple(m for m in motions if m is not ego and near(m, ego, first, last))
@@ -124,13 +122,6 @@ def moments(
                 last=last - first,
                 goal_first=history + drive - early,
             )
-
-
-def _asks_for_driving(states: FloatArray) -> bool:
-    """Whether braking to a stop from the start ends short of the recorded arrival."""
-    speed = states[0, 3]
-    way = float(np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1).sum())
-    return bool(speed >= MIN_START_SPEED and way >= speed**2 / (2.0 * BRAKING) + 12.0)
 
 
 def _reaches(states: FloatArray, focus: Sequence[Point]) -> bool:

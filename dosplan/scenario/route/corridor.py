@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from dosplan.geometry import areas, lanelet_cells
+from dosplan.geometry import areas, cross, lanelet_cells
 from dosplan.types import BoolArray, FloatArray, IntArray, Lanelet, RoadMap
 
 AGAINST: Final = np.cos(np.deg2rad(100.0))
@@ -130,7 +130,7 @@ class Corridor:
         across = np.sum(away * normal[point], axis=1)
         # A corner that is nearest to an end of the path may lie beyond it.
         spacing = np.hypot(*np.diff(path, axis=0).T).max()
-        beside = np.abs(_cross(normal[point], away)) <= spacing
+        beside = np.abs(cross(normal[point], away)) <= spacing
         return point[beside], across[beside]
 
     def _inside(self, points: FloatArray) -> BoolArray:
@@ -143,19 +143,15 @@ class Corridor:
         ray, edge = self.tree.query(lines)
         start = self.edges[edge, 0] - origins[ray]
         along = self.edges[edge, 1] - self.edges[edge, 0]
-        across = _cross(rays[ray], along)
+        across = cross(rays[ray], along)
         with np.errstate(divide="ignore", invalid="ignore"):
-            on_ray = _cross(start, along) / across
-            on_edge = _cross(start, rays[ray]) / across
+            on_ray = cross(start, along) / across
+            on_edge = cross(start, rays[ray]) / across
         slack = 1e-9
         hit = (on_edge >= -slack) & (on_edge <= 1.0 + slack) & (on_ray >= 0.0) & (on_ray <= 1.0)
         share = np.ones(len(origins))
         np.minimum.at(share, ray[hit], on_ray[hit])
         return share * self.WIDTH
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def _cells(

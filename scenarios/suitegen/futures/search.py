@@ -56,7 +56,7 @@ WAY = 0.25
 SEGMENT = 5
 """Steps with the same acceleration."""
 ACCELERATIONS = np.array([-8.0, -6.0, -5.0, -4.0, -3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0])
-"""m/s2; at the start they are such that the velocity comes to a multiple of ``GRID``."""
+"""m/s2; in the first segment up to 0.5 more or less, so that its velocity ends on ``GRID``."""
 LATERAL = (3.0, 1.5)
 """Lateral accelerations in bends that are tried one after the other, m/s2."""
 SHARP = 0.005

@@ -471,7 +471,7 @@ def save_calibrations(path: Path, calibrations: Iterable[Calibration]) -> None:
         if calibration.given is not None:
             arrays |= {f"given.{field}": getattr(calibration.given, field) for field in _GIVEN}
     with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, format=np.array(FORMAT), **arrays)
+        np.savez_compressed(file, format=np.array(FORMAT), **arrays)
 
 
 def load_calibrations(path: Path, *, conditional: bool = False) -> dict[Mode, Calibration]:

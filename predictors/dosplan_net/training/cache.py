@@ -2,7 +2,8 @@
 
 A cache is a folder: ``cache.json`` (what it holds, what was left out and why) and one ``.npy``
 file for each array of ``WindowCache``. Every recording is first written to a file of its own
-below ``shards/``, so that a build that was killed goes on where it stopped.
+below ``shards/``, so that a build that was killed goes on where it stopped. ``cache.json`` is
+written last and names the shards; their names are digests of what they were made from.
 """
 
 from __future__ import annotations
@@ -79,6 +80,8 @@ class WindowCache:
         groups: R names of what was recorded together: the place and the number of its map.
         simulated: R flags: whether the traffic is simulated.
         loop: Name of the loop through which the road users were seen.
+        digest: SHA-256 of ``cache.json``: another one where the windows were made from anything
+            else.
     """
 
     scene_start: npt.NDArray[np.int64]
@@ -100,6 +103,7 @@ class WindowCache:
     groups: tuple[str, ...]
     simulated: tuple[bool, ...]
     loop: str
+    digest: str
     _kept: dict[tuple[str, str], Tensor] = field(default_factory=dict, repr=False, compare=False)
 
     def tensor(self, name: str, device: str = "cpu") -> Tensor:
@@ -135,22 +139,39 @@ class WindowCache:
             CacheError: There is no such cache, it is incomplete or of another format.
         """
         try:
-            content = json.loads((folder / "cache.json").read_text(encoding="utf-8"))
+            text = (folder / "cache.json").read_bytes()
+            content = json.loads(text)
             several = content["format"] == SEVERAL
             if not several and content["format"] != FORMAT:
                 raise CacheError(
                     f"{folder}: cache of format {content['format']}, this version reads {FORMAT}; "
                     "build it again with dosplan data build"
                 )
+            if "shards" not in content:
+                raise CacheError(
+                    f"{folder}: not a complete cache of windows (cache.json does not name the "
+                    "shards that they are from); build it again with dosplan data build"
+                )
+            layout = _LAYOUT | (_WEIGHTS if several else {})
             arrays: dict[str, Any] = {
                 name: np.load(folder / f"{name}.npy", mmap_mode="c", allow_pickle=False)
-                for name in ("scene_start", *_LAYOUT, *(_WEIGHTS if several else ()))
+                for name in ("scene_start", *layout)
             }
+            lengths = {"scene_start": content["scenes"] + 1} | {
+                name: content[f"{owner}s"] for name, (owner, _) in layout.items()
+            }
+            for name, length in lengths.items():
+                if len(arrays[name]) != length:
+                    raise CacheError(
+                        f"{folder}: {name}.npy has {len(arrays[name])} rows where cache.json has "
+                        f"{length}; build it again with dosplan data build"
+                    )
             if not several:
                 arrays["scene_weight"] = np.ones(len(arrays["scene_recording"]), np.float32)
             for name in ("recordings", "groups", "simulated"):
                 arrays[name] = tuple(content[name])
-            return cls(**arrays, loop=str(content.get("loop", loop_name(IDEAL))))
+            loop = str(content.get("loop", loop_name(IDEAL)))
+            return cls(**arrays, loop=loop, digest=sha256(text).hexdigest())
         except CacheError:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -300,7 +321,7 @@ def _extract_to(job: _Job) -> str | None:
     if arrays is None:
         return EMPTY
     part = shard.with_suffix(".part.npz")
-    np.savez(part, allow_pickle=False, **arrays)
+    np.savez(part, **arrays)
     part.replace(shard)
     return None
 
@@ -422,6 +443,8 @@ def _join(
     made: dict[str, Any],
 ) -> BuildReport:
     """Writes the shards one after another into the arrays of a cache."""
+    # Where this is cut off, arrays of two builds may lie there: nothing is to be read then.
+    (out / "cache.json").unlink(missing_ok=True)
     several = "futures" in made
     layout = _LAYOUT | (_WEIGHTS if several else {})
     writers = {name: _Writer(out / f"{name}.npy", dtype) for name, (_, dtype) in layout.items()}
@@ -449,6 +472,8 @@ def _join(
         **made,
         "scenes": first[_SCENE],
         "windows": first[_WINDOW],
+        "pieces": first[_PIECE],
+        "shards": [shard.stem for _, shard in kept],
         "recordings": names,
         "groups": [recorded_together(name) for name in names],
         "simulated": simulated,

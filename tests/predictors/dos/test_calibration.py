@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import pytest
@@ -381,6 +382,24 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     assert again.read_bytes() == path.read_bytes()
     # Every group has scores of its own: no file of 40 steps is larger than this one.
     assert path.stat().st_size < 300_000
+
+
+def test_a_file_holds_its_arrays_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An old numpy takes every keyword of ``savez`` for the name of an array."""
+    given: list[set[str]] = []
+    save = np.savez_compressed
+
+    def noted(file: IO[bytes], **keywords: Any) -> None:
+        given.append(set(keywords))
+        save(file, **keywords)
+
+    monkeypatch.setattr(np, "savez_compressed", noted)
+    path = tmp_path / "calibration.npz"
+    save_calibrations(path, both_modes())
+    with np.load(path, allow_pickle=False) as content:
+        assert given == [set(content.files)]
 
 
 def test_a_file_may_hold_one_mode(tmp_path: Path) -> None:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 from dosplan_net.training.cache import (
@@ -14,13 +18,16 @@ from dosplan_net.training.cache import (
     MIN_FUTURE,
     CacheError,
     WindowCache,
+    _extract_to,
+    _Job,
+    _Writer,
     build_cache,
     recorded_together,
 )
 
 from dosplan.geometry import to_body
 from dosplan.scenario import find_scenarios, load_scenario
-from dosplan.simulation.settings import LoopSettings, SensingSettings
+from dosplan.simulation.settings import IDEAL, LoopSettings, SensingSettings
 from dosplan.simulation.world import World, watch
 from dosplan.system.files import write_json
 from dosplan.types import Scenario
@@ -187,6 +194,71 @@ def test_a_cache_that_cannot_be_written(recordings: Path, tmp_path: Path) -> Non
         build_cache([recordings], tmp_path / "file")
 
 
+def without_shards(folder: Path) -> None:
+    content = json.loads((folder / "cache.json").read_text())
+    del content["shards"]
+    write_json(folder / "cache.json", content)
+
+
+def cut(name: str) -> Callable[[Path], None]:
+    return lambda folder: np.save(folder / f"{name}.npy", np.load(folder / f"{name}.npy")[:-1])
+
+
+def test_a_rebuild_that_is_cut_off_leaves_no_mixture(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = own_build(recordings, tmp_path)
+    write = _Writer.append
+
+    def cut_off(writer: _Writer, rows: npt.NDArray[Any]) -> None:
+        write(writer, rows)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(_Writer, "append", cut_off)
+        with pytest.raises(KeyboardInterrupt):
+            build_cache([recordings], folder, every=2 * EVERY)
+    with pytest.raises(CacheError, match="not a complete cache"):
+        WindowCache.open(folder)
+    build_cache([recordings], folder, every=2 * EVERY)
+    WindowCache.open(folder)
+
+
+def test_the_digest_is_of_what_the_windows_were_made_from(
+    window_cache: Path, recordings: Path, tmp_path: Path
+) -> None:
+    """Of the recordings' content too: names and counts alone would be the same."""
+    digest = WindowCache.open(window_cache).digest
+    assert WindowCache.open(own_build(recordings, tmp_path)).digest == digest
+    source = tmp_path / "recordings"
+    shutil.copytree(recordings, source)
+    changed = source / f"{CACHED[0]}.xml.gz"
+    changed.write_bytes(gzip.compress(gzip.decompress(changed.read_bytes()) + b"<!-- -->"))
+    build_cache([source], tmp_path / "changed", every=EVERY)
+    assert arrays(tmp_path / "changed") == arrays(window_cache)
+    assert WindowCache.open(tmp_path / "changed").digest != digest
+
+
+def test_a_shard_holds_its_arrays_and_nothing_else(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An old numpy takes every keyword of ``savez`` for the name of an array."""
+    given: list[set[str]] = []
+    save = np.savez
+
+    def noted(file: Path, **keywords: Any) -> None:
+        given.append(set(keywords))
+        save(file, **keywords)
+
+    monkeypatch.setattr(np, "savez", noted)
+    # The processes of a build do not see what is patched here.
+    ref = find_scenarios(recordings / f"{CACHED[0]}.xml.gz")[0]
+    job = _Job(ref, tmp_path / "shard.npz", EVERY, 1, IDEAL, 0)
+    assert _extract_to(job) is None
+    with np.load(job.shard, allow_pickle=False) as content:
+        assert given == [set(content.files)]
+
+
 @pytest.mark.parametrize(
     ("damage", "complaint"),
     [
@@ -196,6 +268,10 @@ def test_a_cache_that_cannot_be_written(recordings: Path, tmp_path: Path) -> Non
         (lambda f: (f / "cache.json").write_text("{"), "not a complete cache"),
         (lambda f: write_json(f / "cache.json", {"format": FORMAT}), "not a complete cache"),
         (lambda f: (f / "cache.json").write_text('{"format": 0}'), f"of format 0.* reads {FORMAT}"),
+        (without_shards, "does not name the shards"),
+        (cut("pose"), r"pose\.npy has \d+ rows where cache\.json has \d+"),
+        (cut("piece_pose"), r"piece_pose\.npy has \d+ rows"),
+        (cut("scene_start"), r"scene_start\.npy has \d+ rows"),
     ],
 )
 def test_a_damaged_cache_is_refused_in_one_line(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,16 +15,24 @@ from dosplan_net.features import kinds_of
 from dosplan_net.network import Prediction, constant_velocity
 from dosplan_net.training.batches import RawBatch, Selection
 from dosplan_net.training.cache import CacheError, WindowCache
+from dosplan_net.training.made_from import (
+    MADE_FROM,
+    describe_training,
+    file_digest,
+    trained_already,
+)
 from dosplan_net.training.optimise import FitSettings, fit
 from dosplan_net.training.train import (
     NET,
     Foretold,
     cross_fitted_trajectories,
+    digests,
+    fold_weights,
     mean_figures,
     run_over,
     shares_of,
 )
-from dosplan_net.weights import begin_from, load_model, load_weights, save_weights
+from dosplan_net.weights import begin_from, load_model, save_weights
 from torch import Tensor, nn
 
 from dosplan.types import place_of
@@ -223,11 +231,15 @@ def train_module(
     training: SetTraining,
     windows: Windows,
     held_out: Sequence[Windows],
+    sources: Mapping[str, Any],
     out: Path,
     report: Callable[[str], None] = print,
     init: Path | None = None,
 ) -> dict[str, float]:
     """Trains one module, where the windows are; does nothing where it is done.
+
+    It goes on where it was interrupted. Calibrations that lie beside the weights that it writes are
+    removed: they were made for others.
 
     Args:
         name: Its name.
@@ -235,6 +247,7 @@ def train_module(
         training: How to train.
         windows: What to train on.
         held_out: What to validate on; the figures of each count the same.
+        sources: Digests of what the windows are from, by names of one's own; JSON can hold them.
         out: Folder of the training; ``NAME.safetensors`` is written there.
         report: Called with each line of progress.
         init: Weights to begin from; None for random ones.
@@ -243,14 +256,24 @@ def train_module(
         The figures of the best validation.
 
     Raises:
-        WeightsError: ``init`` cannot be read, or has other sizes.
+        WeightsError: ``init`` cannot be read, or has other sizes; or what is there was made from
+            other settings, sources or weights.
     """
+    config = replace(config, features=windows.features.shape[1])
+    settings = asdict(training)
+    del settings["modules"], settings["calibrated"]  # They say what else is made.
+    made_from = describe_training(
+        part=name,
+        module=describe_config(config),
+        **settings,
+        **sources,
+        init=None if init is None else file_digest(init),
+    )
     target = out / f"{name}.safetensors"
-    if target.is_file():
-        done: dict[str, float] = load_weights(target, MODEL)[1]["validation"]
+    done = trained_already(target, MODEL, made_from, out / name)
+    if done is not None:
         return done
     torch.manual_seed(training.fit.seed)
-    config = replace(config, features=windows.features.shape[1])
     device = windows.features.device
     learner = _Learner(config)
     if init is not None:
@@ -280,10 +303,13 @@ def train_module(
         ),
         training.fit,
         out / name,
+        made_from,
         lambda line: report(f"{name}: {line}"),
     )
     about = {"model": MODEL, "module": describe_config(config), "validation": figures}
-    save_weights(target, learner.module.state_dict(), about)
+    for loop in CalibratedFor:
+        calibration_file(target, loop).unlink(missing_ok=True)
+    save_weights(target, learner.module.state_dict(), about | {MADE_FROM: made_from})
     return figures
 
 
@@ -352,16 +378,27 @@ def train_sets(
         Each module's name and the figures of its best validation.
 
     Raises:
-        CacheError: A cache cannot be read, or ``training.shares`` are not one for each.
-        WeightsError: Weights cannot be read, or those to begin from have other sizes.
+        CacheError: A cache cannot be read, ``training.shares`` are not one for each, or a module
+            is to be calibrated on errors of a network that has learned from the windows.
+        WeightsError: Weights cannot be read, those to begin from have other sizes, the folds are of
+            other caches (see ``fold_weights``), or what is there was made from anything else.
     """
     opened = [WindowCache.open(path) for path in (*caches, *unseen)]
     held_out = [WindowCache.open(path) for path in validation]
     loop = _loop_of([*opened, *held_out])
     weights = network / f"{NET}.safetensors"
     trajectories: list[Foretold | None] = [None] * len(opened)
+    folds: list[Path] = []
     if training.cross_fitted:
         trajectories[: len(caches)] = cross_fitted_trajectories(caches, network, device)
+        folds = fold_weights(opened[: len(caches)], network)
+    sources = {
+        "data": digests(opened[: len(caches)]),
+        "unseen": digests(opened[len(caches) :]),
+        "validation": digests(held_out),
+        "network": file_digest(weights),
+        "fold_networks": [file_digest(path) for path in folds],
+    }
     for base in dict.fromkeys(training.modules[name].base for name in names):
         windows = encode_windows(opened, weights, base, trajectories, device)
         # Pasts that are validated and calibrated on have one outcome each.
@@ -373,7 +410,9 @@ def train_sets(
         for name in (name for name in names if training.modules[name].base == base):
             config = training.modules[name]
             begin = None if init is None else init / f"{name}.safetensors"
-            figures = train_module(name, config, training, shared, validating, out, report, begin)
+            figures = train_module(
+                name, config, training, shared, validating, sources, out, report, begin
+            )
             yield name, figures
             if name in training.calibrated:
                 target = out / f"{name}.safetensors"
@@ -443,9 +482,10 @@ def _loop_of(caches: Sequence[WindowCache]) -> CalibratedFor:
 
 
 def score_windows(module: SetModule, parts: Sequence[Windows]) -> Scored:
-    """Scores windows of recordings that the predicting network was not trained on.
+    """Scores windows whose trajectories are of networks that were not trained on the recordings.
 
-    Those are the validation recordings and, by cross-fitting, the training recordings as well.
+    Those are the validation recordings and, by cross-fitting, the training recordings as well; of
+    these, the module and the features H that it reads have seen the windows.
 
     Args:
         module: The module.

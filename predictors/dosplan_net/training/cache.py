@@ -317,7 +317,7 @@ def _extract_to(job: _Job) -> str | None:
             scenario = with_futures(scenario, others)
     except ScenarioError as error:
         return str(error)
-    arrays = _extract(scenario, job)
+    arrays: dict[str, Any] | None = _extract(scenario, job)
     if arrays is None:
         return EMPTY
     part = shard.with_suffix(".part.npz")

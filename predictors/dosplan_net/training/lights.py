@@ -7,7 +7,7 @@ said there.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +27,15 @@ from dosplan_net.network import Prediction
 from dosplan_net.training.batches import Selection
 from dosplan_net.training.cache import CacheError, WindowCache
 from dosplan_net.training.losses import TrajectoryLoss, displacements
+from dosplan_net.training.made_from import (
+    MADE_FROM,
+    describe_training,
+    file_digest,
+    trained_already,
+)
 from dosplan_net.training.optimise import FitSettings, fit
-from dosplan_net.training.train import NET, run_over
-from dosplan_net.weights import load_weights
+from dosplan_net.training.train import NET, digests, run_over
+from dosplan_net.weights import load_weights, save_weights
 
 
 @dataclass(frozen=True)
@@ -137,7 +143,7 @@ def train_lights(
     out: Path,
     report: Callable[[str], None] = print,
 ) -> dict[str, float]:
-    """Trains the response; does nothing where it is done.
+    """Trains the response; goes on where it was interrupted, does nothing where it is done.
 
     Args:
         config: The training.
@@ -150,10 +156,23 @@ def train_lights(
     Returns:
         The figures of the best validation: ``ade`` over every recorded step and ``fde`` at the
         last, m, of the most likely trajectories of windows with a light ahead.
+
+    Raises:
+        CacheError: A cache cannot be read, or nobody has a light ahead in it.
+        WeightsError: The network cannot be read; or what is there was made from other settings,
+            caches or weights.
     """
     weights, target = network / f"{NET}.safetensors", out / f"{NET}{BESIDE}"
-    if target.is_file():
-        done: dict[str, float] = load_weights(target, MODEL)[1]["validation"]
+    folder = out / "lights"
+    made_from = describe_training(
+        part="lights",
+        **asdict(config),
+        data=digests([WindowCache.open(path) for path in caches]),
+        validation=digests([WindowCache.open(path) for path in validation]),
+        network=file_digest(weights),
+    )
+    done = trained_already(target, MODEL, made_from, folder)
+    if done is not None:
         return done
     windows, held_out = lit_windows(weights, caches), lit_windows(weights, validation)
     torch.manual_seed(config.fit.seed)
@@ -176,10 +195,15 @@ def train_lights(
         loss_at,
         lambda model: displacement(respond(model, held_out), held_out),  # type: ignore[arg-type]
         config.fit,
-        out / "lights",
+        folder,
+        made_from,
         report,
     )
-    save_response(target, response, weights, figures)
+    # What belongs to the weights of a response is left to ``save_response``.
+    best = folder / "best.safetensors"
+    save_response(best, response, weights, figures)
+    state, about = load_weights(best, MODEL)
+    save_weights(target, state, about | {MADE_FROM: made_from})
     return figures
 
 

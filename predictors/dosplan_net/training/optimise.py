@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from dosplan.system.files import atomic_file
+from dosplan_net.training.made_from import MADE_FROM, MadeFrom, require_same
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ def fit(
     validate: Callable[[nn.Module], Mapping[str, float]],
     settings: FitSettings,
     folder: Path,
+    made_from: MadeFrom,
     report: Callable[[str], None] = print,
 ) -> dict[str, float]:
     """Trains a model; begins where an interrupted call stopped.
@@ -59,10 +61,14 @@ def fit(
         validate: Figures of a model, the first of which is to be small.
         settings: How to train.
         folder: Where the log and the checkpoint go.
+        made_from: What decides the result; only a checkpoint of the same is gone on from.
         report: Called with a line after each validation.
 
     Returns:
         The best validation's figures.
+
+    Raises:
+        WeightsError: The checkpoint there is of another training.
     """
     folder.mkdir(parents=True, exist_ok=True)
     checkpoint = folder / "checkpoint.pt"
@@ -74,6 +80,7 @@ def fit(
     state: dict[str, Any] = {"step": 0, "best": {}, "best_weights": average, "stale": 0}
     if checkpoint.is_file():
         saved = torch.load(checkpoint, weights_only=True, map_location=parameters[0].device)
+        require_same(checkpoint, saved, made_from, f"name another --out, or delete {folder}")
         model.load_state_dict(saved["model"])
         optimiser.load_state_dict(saved["optimiser"])
         average, state = saved["average"], saved["state"]
@@ -114,6 +121,7 @@ def fit(
                         "optimiser": optimiser.state_dict(),
                         "average": average,
                         "state": state,
+                        MADE_FROM: made_from,
                     },
                     file,
                 )

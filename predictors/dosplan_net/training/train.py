@@ -2,14 +2,16 @@
 
 The shipped network is trained on every recording, so that its errors on them are smaller than on
 new ones. The occupancy sets are trained on the errors to expect on new recordings. Therefore the
-recordings are split into folds, by place and map; for each fold, one more network is trained on the
-other folds and then predicts this one.
+recordings are split into folds, by map; for each fold, one more network is trained on the other
+folds and then predicts this one. Maps of one place, such as ``USA_US101-1`` and ``USA_US101-10``,
+may lie in different folds: a fold's network has not seen its recordings, but perhaps their place.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +36,14 @@ from dosplan_net.training.batches import (
 )
 from dosplan_net.training.cache import CacheError, WindowCache
 from dosplan_net.training.losses import TrajectoryLoss, best_of, displacements
+from dosplan_net.training.made_from import (
+    MADE_FROM,
+    MadeFrom,
+    describe_training,
+    file_digest,
+    require_same,
+    trained_already,
+)
 from dosplan_net.training.optimise import FitSettings, fit
 from dosplan_net.weights import WeightsError, begin_from, load_weights, save_weights
 
@@ -94,7 +104,7 @@ def train_stage(
     device: str = "cpu",
     init: Path | None = None,
 ) -> dict[str, float]:
-    """Trains one part; does nothing where it is done.
+    """Trains one part; goes on where it was interrupted, does nothing where it is done.
 
     Args:
         stage: One of ``stages(config)``: ``net`` is trained on all recordings, ``fold-k`` on all
@@ -112,13 +122,21 @@ def train_stage(
 
     Raises:
         CacheError: A cache cannot be read, or ``config.shares`` are not one for each.
-        WeightsError: ``init`` cannot be read, has other sizes, or is given for a fold.
+        WeightsError: ``init`` cannot be read, has other sizes, or is given for a fold; or what is
+            there was made from other settings, caches or weights.
     """
-    target = out / f"{stage}.safetensors"
-    if target.is_file():
-        done: dict[str, float] = load_weights(target, MODEL)[1]["validation"]
-        return done
+    if init is not None and stage != NET:
+        raise WeightsError(
+            f"{init}: {stage} cannot begin from them, they have seen the recordings that it is to "
+            "foretell; train with --only net, or with folds: 0"
+        )
     opened = [WindowCache.open(path) for path in caches]
+    held_out = [WindowCache.open(path) for path in validation]
+    target = out / f"{stage}.safetensors"
+    made_from = _made_from(stage, config, opened, held_out, init)
+    done = trained_already(target, MODEL, made_from, out / stage)
+    if done is not None:
+        return done
     if stage == NET:
         own = config.folds
         scenes = [np.arange(cache.scenes) for cache in opened]
@@ -132,15 +150,9 @@ def train_stage(
     torch.manual_seed(config.fit.seed * 7919 + own)
     network = build_network(config.network)
     if init is not None:
-        if stage != NET:
-            raise WeightsError(
-                f"{init}: {stage} cannot begin from them, they have seen the recordings that it is "
-                "to foretell; train with --only net, or with folds: 0"
-            )
         begin_from(network, init, MODEL)
     network.to(device)
     source = _Source(opened, scenes, config, device)
-    held_out = [WindowCache.open(path) for path in validation]
     figures = fit(
         network,
         lambda step: source.loss(network, step),
@@ -150,11 +162,43 @@ def train_stage(
         ),
         config.fit,
         out / stage,
+        made_from,
         lambda line: report(f"{stage}: {line}"),
     )
     about = {"model": MODEL, "network": asdict(config.network), "validation": figures}
-    save_weights(target, network.state_dict(), about)
+    save_weights(target, network.state_dict(), about | {MADE_FROM: made_from})
     return figures
+
+
+def _made_from(
+    stage: str,
+    config: NetTraining,
+    caches: Sequence[WindowCache],
+    validation: Sequence[WindowCache],
+    init: Path | None,
+) -> MadeFrom:
+    settings = asdict(config)
+    if stage == NET:
+        del settings["folds"]  # It learns from all of them, however many there are.
+    return describe_training(
+        part=stage,
+        **settings,
+        data=digests(caches),
+        validation=digests(validation),
+        init=None if init is None else file_digest(init),
+    )
+
+
+def digests(caches: Sequence[WindowCache]) -> list[str]:
+    """Digests of caches.
+
+    Args:
+        caches: The caches.
+
+    Returns:
+        That of each, in order.
+    """
+    return [cache.digest for cache in caches]
 
 
 def mean_figures(figures: Iterable[Mapping[str, float]]) -> dict[str, float]:
@@ -206,7 +250,7 @@ def shares_of(
 
 
 def assign_folds(caches: Sequence[WindowCache], folds: int) -> list[npt.NDArray[np.int64]]:
-    """Splits recordings into folds of about as many windows; groups stay together.
+    """Splits recordings into folds of about as many windows; those of one map stay together.
 
     Args:
         caches: The caches.
@@ -256,36 +300,66 @@ def cross_fitted_trajectories(
         For each cache, the trajectories.
 
     Raises:
-        WeightsError: The networks of the cross-fitting are not there.
+        CacheError: A cache cannot be read.
+        WeightsError: See ``fold_weights``.
     """
-    fitted = sorted(folder.glob("fold-*.safetensors"))
-    if not fitted:
+    opened = [WindowCache.open(path) for path in caches]
+    weights = fold_weights(opened, folder)
+    return [
+        _cross_fitted(cache, fold, weights, folder / f"cross-fitted-{number}-{path.name}", device)
+        for number, (cache, fold, path) in enumerate(
+            zip(opened, assign_folds(opened, len(weights)), caches, strict=True)
+        )
+    ]
+
+
+def fold_weights(caches: Sequence[WindowCache], folder: Path) -> list[Path]:
+    """Finds the networks of a cross-fitting.
+
+    Which recordings each has not seen follows from their number and from all caches: with another
+    of either, recordings would be foretold by networks that were trained on them.
+
+    Args:
+        caches: The caches of ``--data``, in order.
+        folder: Folder of the training.
+
+    Returns:
+        The weights of each fold.
+
+    Raises:
+        WeightsError: One is not there, or was trained with other caches or for another number of
+            folds.
+    """
+    first = folder / "fold-0.safetensors"
+    if not first.is_file():
         raise WeightsError(
             f"{folder}: holds no fold-0.safetensors ...; train them with dosplan train net"
         )
-    opened = [WindowCache.open(path) for path in caches]
-    return [
-        _cross_fitted(cache, fold, len(fitted), folder, f"{number}-{path.name}", device)
-        for number, (cache, fold, path) in enumerate(
-            zip(opened, assign_folds(opened, len(fitted)), caches, strict=True)
-        )
-    ]
+    folds = load_weights(first, MODEL)[1].get(MADE_FROM, {}).get("folds", 1)
+    weights = [folder / f"fold-{k}.safetensors" for k in range(folds)]
+    for path in weights:
+        wanted = {"part": path.stem, "folds": folds, "data": digests(caches)}
+        remedy = "name the --data that dosplan train net had, in its order, or train all folds anew"
+        require_same(path, load_weights(path, MODEL)[1], wanted, remedy)
+    return weights
 
 
 def _cross_fitted(
     cache: WindowCache,
     fold: npt.NDArray[np.int64],
-    folds: int,
-    folder: Path,
-    name: str,
+    weights: Sequence[Path],
+    beginning: Path,
     device: str,
 ) -> Foretold:
-    kept = [folder / f"cross-fitted-{name}-{part}.npy" for part in ("trajectory", "log_weight")]
+    """What each fold's network foretells of it; kept in files whose names have this beginning."""
+    made_from = " ".join([cache.digest, *map(file_digest, weights)])
+    name = f"{beginning.name}-{sha256(made_from.encode()).hexdigest()[:16]}"
+    kept = [beginning.with_name(f"{name}-{part}.npy") for part in ("trajectory", "log_weight")]
     if all(path.is_file() for path in kept):
         return Foretold(*(np.load(path, mmap_mode="r", allow_pickle=False) for path in kept))
     parts: list[npt.NDArray[np.float32]] = []
-    for k in range(folds):
-        network = load_network(folder / f"fold-{k}.safetensors").to(device)
+    for k, path in enumerate(weights):
+        network = load_network(path).to(device)
         modes = network.config.modes
         if not parts:
             shapes = ((len(cache.pose), modes, HORIZON, 2), (len(cache.pose), modes))

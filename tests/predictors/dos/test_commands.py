@@ -13,6 +13,7 @@ from dosplan_net.training.cache import WindowCache
 
 from dosplan.cli.command import Command, CommandError, offered_commands
 from tests.predictors.conftest import CACHED
+from tests.support.folds import save_folds
 from tests.support.models import save_network, save_sets
 
 
@@ -115,8 +116,8 @@ def test_numbers_may_be_written_as_yaml_likes(window_cache: Path, tmp_path: Path
         "  a: {features: 12, hidden: 8, variant: v2, loss: {name: paper, alpha: 2}}\n"
         "  b: {features: 12, hidden: 8, base: constant-velocity}\n"
     )
-    for name in ("net", "fold-0", "fold-1"):
-        save_network(tmp_path / f"{name}.safetensors")
+    save_network(tmp_path / "net.safetensors")
+    save_folds(tmp_path, [window_cache])
     assert train("dos", config, window_cache, tmp_path / "out", "--network", tmp_path) == 0
     module = load_module(tmp_path / "out" / "a.safetensors")
     assert (module.config.variant, module.config.loss.alpha) == ("v2", 2.0)
@@ -180,11 +181,15 @@ def test_training_goes_on_from_weights_with_more_windows(
         f"{fit}batch: 16\nshares: [1, 1]\ncalibrated: [a]\n"
         "modules: {a: {features: 12, hidden: 8}}\n"
     )
-    for k in (0, 1):
-        save_network(out / f"fold-{k}.safetensors", seed=k)
+    save_folds(out, [window_cache])
     more = ("--unseen", window_cache, "--network", out, "--init", shipped)
     assert train("dos", config, window_cache, out, *more) == 0
     assert (out / "a.calibration.npz").is_file()
+    # Again: nothing is trained. Without the unseen windows it would be another training.
+    assert train("dos", config, window_cache, out, *more) == 0
+    config.write_text(config.read_text().replace("shares: [1, 1]", "shares: [1]"))
+    with pytest.raises(CommandError, match=r"a\.safetensors: was trained with other shares, un"):
+        train("dos", config, window_cache, out, "--network", out, "--init", shipped)
     config.write_text(f"{fit}shares: [1]\nmodules: {{b: {{features: 12, hidden: 8}}}}")
     with pytest.raises(CommandError, match="shares has 1 entries for 2 caches"):
         train("dos", config, window_cache, out, *more)

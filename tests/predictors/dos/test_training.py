@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from dosplan_dos.calibration import CalibratedFor, calibration_file
 from dosplan_dos.losses import LossConfig
 from dosplan_dos.module import OccupancyModule, SetConfig
 from dosplan_dos.shapes import Variant
@@ -32,6 +34,7 @@ from dosplan_net.weights import WeightsError
 from tests.support.models import TINY, save_network, save_sets
 
 CONFIG = SetConfig(features=TINY.hidden, hidden=8)
+SOURCES = {"data": ["a"], "validation": ["b"]}
 
 
 @pytest.fixture(scope="module")
@@ -122,15 +125,17 @@ def test_figures_are_shares_and_mean_areas(windows: Windows, tmp_path: Path) -> 
 def test_training_resumes_and_the_seed_makes_it_the_same(windows: Windows, tmp_path: Path) -> None:
     fit = FitSettings(steps=12, validate_every=4, learning_rate=0.01)
     training = SetTraining(fit=fit, batch=32)
-    whole = train_module("a", CONFIG, training, windows, [windows], tmp_path / "whole")
+    whole = train_module("a", CONFIG, training, windows, [windows], SOURCES, tmp_path / "whole")
 
     def interrupt(line: str) -> None:
         if " step 8 " in line:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train_module("a", CONFIG, training, windows, [windows], tmp_path / "parts", interrupt)
-    parts = train_module("a", CONFIG, training, windows, [windows], tmp_path / "parts")
+        train_module(
+            "a", CONFIG, training, windows, [windows], SOURCES, tmp_path / "parts", interrupt
+        )
+    parts = train_module("a", CONFIG, training, windows, [windows], SOURCES, tmp_path / "parts")
     assert parts == whole
     # The loss has multipliers of its own, which must survive the interruption as well.
     one, other = (load_module(tmp_path / p / "a.safetensors") for p in ("whole", "parts"))
@@ -175,7 +180,7 @@ def test_windows_of_no_weight_teach_nothing(windows: Windows, tmp_path: Path) ->
     light = replace(windows, weight=torch.where(rest, 0.0, 1.0))
     changed = replace(light, future=torch.where(rest[:, None, None], 50.0, windows.future))
     for name, part in (("one", light), ("other", changed)):
-        train_module("a", CONFIG, training, part, [windows], tmp_path / name)
+        train_module("a", CONFIG, training, part, [windows], SOURCES, tmp_path / name)
     one, other = (load_module(tmp_path / p / "a.safetensors") for p in ("one", "other"))
     for name, value in one.state_dict().items():
         assert torch.equal(other.state_dict()[name], value), name
@@ -184,10 +189,59 @@ def test_windows_of_no_weight_teach_nothing(windows: Windows, tmp_path: Path) ->
 def test_sets_are_trained_on_from_weights_that_are_there(windows: Windows, tmp_path: Path) -> None:
     begin = save_sets(tmp_path / "begin.safetensors", seed=4)
     still = SetTraining(fit=FitSettings(steps=1, validate_every=1, learning_rate=0.0), batch=32)
-    train_module("a", CONFIG, still, windows, [windows], tmp_path, init=begin)
+    train_module("a", CONFIG, still, windows, [windows], SOURCES, tmp_path, init=begin)
     first, kept = (load_module(path) for path in (begin, tmp_path / "a.safetensors"))
     for name, value in first.state_dict().items():
         assert torch.equal(kept.state_dict()[name], value), name
     larger = replace(CONFIG, hidden=16)
     with pytest.raises(WeightsError, match="of other sizes"):
-        train_module("b", larger, still, windows, [windows], tmp_path, init=begin)
+        train_module("b", larger, still, windows, [windows], SOURCES, tmp_path, init=begin)
+
+
+def test_what_is_there_is_gone_on_with_by_the_same_training_alone(
+    windows: Windows, tmp_path: Path
+) -> None:
+    training = SetTraining(fit=FitSettings(steps=2, validate_every=2), batch=32)
+    begin = save_sets(tmp_path / "begin.safetensors", seed=4)
+
+    def train(
+        config: SetConfig = CONFIG,
+        training: SetTraining = training,
+        sources: dict[str, list[str]] = SOURCES,
+        init: Path | None = None,
+    ) -> dict[str, float]:
+        return train_module("a", config, training, windows, [windows], sources, tmp_path, init=init)
+
+    def refused(differs: str, train: Callable[[], object]) -> None:
+        line = rf"{tmp_path}/a.*: was trained with other {differs}; name another --out, or delete"
+        with pytest.raises(WeightsError, match=line):
+            train()
+
+    train()
+    for _ in ("weights", "checkpoint"):
+        refused(r"module\.hidden", lambda: train(replace(CONFIG, hidden=16)))
+        refused(r"module\.loss\.k", lambda: train(replace(CONFIG, loss=LossConfig(k=0.7))))
+        refused("standing_share", lambda: train(training=replace(training, standing_share=0.1)))
+        refused("data", lambda: train(sources=SOURCES | {"data": ["c"]}))
+        refused("init", lambda: train(init=begin))
+        # What else is trained, and what is calibrated, makes no difference to it.
+        train(training=replace(training, modules={"b": CONFIG}, calibrated=["a"]))
+        (tmp_path / "a.safetensors").unlink()
+
+
+def test_calibrations_of_weights_before_are_removed(windows: Windows, tmp_path: Path) -> None:
+    training = SetTraining(fit=FitSettings(steps=1, validate_every=1), batch=32)
+    target = tmp_path / "a.safetensors"
+    made = [
+        calibration_file(target, loop) for loop in (CalibratedFor.IDEAL, CalibratedFor.REALISTIC)
+    ]
+    others = tmp_path / "b.calibration.npz"
+    for path in (*made, others):
+        path.write_bytes(b"of the weights before")
+    train_module("a", CONFIG, training, windows, [windows], SOURCES, tmp_path)
+    assert not any(path.exists() for path in made)
+    assert others.exists()
+    # Those that are made for these weights stay.
+    made[0].write_bytes(b"of these weights")
+    train_module("a", CONFIG, training, windows, [windows], SOURCES, tmp_path)
+    assert made[0].exists()

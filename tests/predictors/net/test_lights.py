@@ -215,6 +215,28 @@ def test_training_lessens_the_error_and_is_the_same_again(signals: Path, tmp_pat
     assert figures["ade"] < displacement(windows.trajectory, windows)["ade"]
 
 
+def test_a_response_of_other_settings_or_another_network_is_no_result(
+    signals: Path, tmp_path: Path
+) -> None:
+    network = save_network(tmp_path / "net.safetensors")
+    config = LightTraining(LightConfig(hidden=8), FitSettings(steps=2, validate_every=2), 64)
+    out = tmp_path / "out"
+
+    def train(config: LightTraining) -> dict[str, float]:
+        return train_lights(config, [signals], [signals], tmp_path, out, lambda line: None)
+
+    assert train(config) == train(config)
+    line = rf"{out}/net\.lights\.safetensors: was trained with other {{}}; name another --out"
+    with pytest.raises(WeightsError, match=line.format(r"response\.hidden")):
+        train(replace(config, response=LightConfig(hidden=16)))
+    save_network(network, seed=3)
+    with pytest.raises(WeightsError, match=line.format("network")):
+        train(config)
+    (out / "net.lights.safetensors").unlink()
+    with pytest.raises(WeightsError, match=r"checkpoint\.pt: was trained with other network;"):
+        train(config)
+
+
 def test_a_cache_without_lights_trains_no_response(window_cache: Path, tmp_path: Path) -> None:
     network = save_network(tmp_path / "net.safetensors")
     with pytest.raises(CacheError, match="nobody has a traffic light ahead"):

@@ -9,10 +9,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from dosplan_net.training.made_from import MadeFrom, describe_training
 from dosplan_net.training.optimise import FitSettings, fit
+from dosplan_net.weights import WeightsError
 from torch import Tensor, nn
 
 SETTINGS = FitSettings(steps=24, learning_rate=0.05, validate_every=4, patience=100)
+FIRST = describe_training(data=["a", "b"], fit={"rate": 0.05, "shape": (1, 2)})
 
 
 class Noisy(nn.Module):
@@ -50,6 +53,7 @@ def trained(
     settings: FitSettings = SETTINGS,
     validate: Callable[[nn.Module], Mapping[str, float]] = error_on_a_grid,
     stop_at: int | None = None,
+    made_from: MadeFrom = FIRST,
 ) -> tuple[Noisy, dict[str, float]]:
     model = Noisy()
 
@@ -58,7 +62,7 @@ def trained(
             raise KeyboardInterrupt
         return model.loss(step)
 
-    figures = fit(model, loss_at, validate, settings, folder, lambda line: None)
+    figures = fit(model, loss_at, validate, settings, folder, made_from, lambda line: None)
     return model, figures
 
 
@@ -81,6 +85,25 @@ def test_a_finished_training_is_not_repeated(tmp_path: Path) -> None:
     again, same = trained(tmp_path, stop_at=0)
     assert same == figures
     assert torch.equal(again.weight, first.weight)
+
+
+@pytest.mark.parametrize(
+    ("other", "differs"),
+    [
+        (FIRST | {"data": ["b", "a"]}, "data"),
+        (FIRST | {"fit": {"rate": 0.06, "shape": [1, 2]}}, r"fit\.rate"),
+        (FIRST | {"fit": {"rate": 0.05, "shape": [1]}, "init": None}, r"fit\.shape, init"),
+    ],
+)
+def test_another_training_does_not_go_on_from_a_checkpoint(
+    tmp_path: Path, other: MadeFrom, differs: str
+) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path, stop_at=9)
+    line = rf"^{tmp_path}/checkpoint\.pt: was trained with other {differs}; .* delete {tmp_path}$"
+    with pytest.raises(WeightsError, match=line):
+        trained(tmp_path, made_from=other)
+    trained(tmp_path, made_from=FIRST)
 
 
 def test_it_learns_and_the_seed_decides(tmp_path: Path) -> None:

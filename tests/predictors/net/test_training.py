@@ -7,13 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
 from dosplan_net.build import load_network
 from dosplan_net.features import HORIZON
 from dosplan_net.network import RecurrentNetwork, constant_velocity
 from dosplan_net.training.batches import read_scenes
-from dosplan_net.training.cache import WindowCache
+from dosplan_net.training.cache import WindowCache, build_cache
 from dosplan_net.training.optimise import FitSettings
 from dosplan_net.training.train import (
     NET,
@@ -26,6 +27,8 @@ from dosplan_net.training.train import (
 )
 from dosplan_net.weights import WeightsError
 
+from tests.predictors.conftest import EVERY
+from tests.support.folds import save_folds
 from tests.support.models import TINY, save_network
 
 TRAINING = NetTraining(
@@ -87,6 +90,60 @@ def test_a_part_that_is_done_is_not_trained_again(window_cache: Path, tmp_path: 
     again = train_stage(NET, config, [window_cache], [window_cache], tmp_path, lines.append)
     assert again == first
     assert len(lines) == 1
+
+
+def test_what_is_there_is_gone_on_with_by_the_same_training_alone(
+    window_cache: Path, recordings: Path, tmp_path: Path
+) -> None:
+    build_cache([recordings], tmp_path / "other", every=2 * EVERY)
+    begin = save_network(tmp_path / "begin" / "net.safetensors", seed=5)
+    short = replace(TRAINING, fit=replace(TRAINING.fit, steps=4, validate_every=2))
+    caches, others = [window_cache], [tmp_path / "other"]
+
+    def interrupted(line: str) -> None:
+        if " step 4 " in line:
+            raise KeyboardInterrupt
+
+    half, done = tmp_path / "half", tmp_path / "done"
+    with pytest.raises(KeyboardInterrupt):
+        train_stage(NET, short, caches, caches, half, interrupted)
+    train_stage(NET, short, caches, caches, done, lambda line: None)
+
+    def refused(
+        differs: str,
+        config: NetTraining = short,
+        data: list[Path] = caches,
+        validation: list[Path] = caches,
+        init: Path | None = None,
+    ) -> None:
+        for out, file in ((half, f"{NET}/checkpoint.pt"), (done, f"{NET}.safetensors")):
+            line = rf"{out / file}: was trained with other {differs}; name another --out, or delete"
+            with pytest.raises(WeightsError, match=line):
+                train_stage(NET, config, data, validation, out, init=init)
+
+    refused(r"network\.hidden", replace(short, network=replace(TINY, hidden=16)))
+    refused(r"fit\.learning_rate", replace(short, fit=replace(short.fit, learning_rate=0.1)))
+    refused("batch, retiming", replace(short, batch=50, retiming=0.1))
+    refused("data", data=others)
+    refused("data", data=[window_cache, window_cache])
+    refused("validation", validation=others)
+    refused("init", init=begin)
+    # How many folds there are makes no difference to it.
+    for out in (half, done):
+        train_stage(NET, replace(short, folds=0), caches, caches, out, lambda line: None)
+    # It does to each of them.
+    train_stage("fold-0", short, caches, caches, done, lambda line: None)
+    with pytest.raises(WeightsError, match=r"fold-0\.safetensors: was trained with other folds;"):
+        train_stage("fold-0", replace(short, folds=3), caches, caches, done)
+
+
+def test_weights_that_do_not_say_what_they_are_from_are_no_result(
+    window_cache: Path, tmp_path: Path
+) -> None:
+    save_network(tmp_path / "net.safetensors")
+    caches = [window_cache]
+    with pytest.raises(WeightsError, match=r"net\.safetensors: does not say what it was trained"):
+        train_stage(NET, TRAINING, caches, caches, tmp_path)
 
 
 def test_training_begins_from_weights_that_are_there(window_cache: Path, tmp_path: Path) -> None:
@@ -164,9 +221,7 @@ def test_each_recording_is_predicted_by_a_network_not_trained_on_it(
     cache = WindowCache.open(window_cache)
     (fold,) = assign_folds([cache], 2)
     assert set(fold) == {0, 1}
-    fitted = [
-        load_network(save_network(tmp_path / f"fold-{k}.safetensors", seed=k)) for k in (0, 1)
-    ]
+    fitted = [load_network(path) for path in save_folds(tmp_path, [window_cache])]
     (foretold,) = cross_fitted_trajectories([window_cache], tmp_path)
     labels = foretold.trajectory
     assert labels.shape == (len(cache.pose), 1, HORIZON, 2)
@@ -187,14 +242,64 @@ def test_each_recording_is_predicted_by_a_network_not_trained_on_it(
 def test_cross_fitted_trajectories_are_not_computed_again(
     window_cache: Path, tmp_path: Path
 ) -> None:
-    for k in (0, 1):
-        save_network(tmp_path / f"fold-{k}.safetensors", seed=k)
+    save_folds(tmp_path, [window_cache])
     (first,) = cross_fitted_trajectories([window_cache], tmp_path)
-    for k in (0, 1):
-        save_network(tmp_path / f"fold-{k}.safetensors", seed=k + 2)
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("cross-fitted-*.npy")}
+    assert len(kept) == 2
     (again,) = cross_fitted_trajectories([window_cache], tmp_path)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.npy")} == kept
     np.testing.assert_array_equal(again.trajectory, first.trajectory)
     np.testing.assert_array_equal(again.log_weight, first.log_weight)
+
+
+def test_other_folds_or_windows_are_foretold_anew(
+    window_cache: Path, recordings: Path, tmp_path: Path
+) -> None:
+    def foretold(cache: Path) -> npt.NDArray[np.float32]:
+        return cross_fitted_trajectories([cache], tmp_path)[0].trajectory
+
+    build_cache([recordings], tmp_path / "cache", every=EVERY)
+    save_folds(tmp_path, [tmp_path / "cache"])
+    first = foretold(tmp_path / "cache")
+    save_folds(tmp_path, [tmp_path / "cache"], seeds=(0, 5))
+    other = foretold(tmp_path / "cache")
+    assert np.abs(other - first).max() > 0.1
+    # The same folder, but with other windows.
+    build_cache([recordings], tmp_path / "cache", every=2 * EVERY)
+    save_folds(tmp_path, [tmp_path / "cache"], seeds=(0, 5))
+    assert len(foretold(tmp_path / "cache")) == len(WindowCache.open(tmp_path / "cache").pose)
+    save_folds(tmp_path, [window_cache])
+    cross_fitted_trajectories([window_cache], tmp_path)
+
+
+def test_folds_of_another_number_or_of_other_windows_foretell_nothing(
+    window_cache: Path, recordings: Path, tmp_path: Path
+) -> None:
+    def refused(caches: list[Path], reason: str) -> None:
+        with pytest.raises(WeightsError, match=reason) as caught:
+            cross_fitted_trajectories(caches, tmp_path)
+        assert "\n" not in str(caught.value)
+
+    # Of three folds the last is not trained yet: its recordings are known to the other two.
+    *_, last = save_folds(tmp_path, [window_cache], seeds=(0, 1, 2))
+    cross_fitted_trajectories([window_cache], tmp_path)
+    last.unlink()
+    refused([window_cache], r"fold-2\.safetensors: not readable .* dosplan train")
+    save_folds(tmp_path, [window_cache], seeds=(0, 1))
+    save_folds(tmp_path / "three", [window_cache], seeds=(0, 1, 2))
+    shutil.copy(tmp_path / "three" / "fold-1.safetensors", tmp_path)
+    refused([window_cache], r"fold-1\.safetensors: was trained with other folds; name the --data")
+    # Other caches, one more, or another order: the folds would be others.
+    save_folds(tmp_path, [window_cache])
+    build_cache([recordings], tmp_path / "other", every=2 * EVERY)
+    refused([tmp_path / "other"], r"fold-0\.safetensors: was trained with other data")
+    refused([window_cache, tmp_path / "other"], "other data")
+    save_folds(tmp_path, [window_cache, tmp_path / "other"])
+    refused([tmp_path / "other", window_cache], "other data")
+    # Weights of a version that did not say.
+    for k in (0, 1):
+        save_network(tmp_path / f"fold-{k}.safetensors", seed=k)
+    refused([window_cache], r"fold-0\.safetensors: does not say what it was trained from")
 
 
 def test_two_caches_of_one_name_keep_answers_of_their_own(
@@ -203,8 +308,7 @@ def test_two_caches_of_one_name_keep_answers_of_their_own(
     caches = [tmp_path / place / "cache" for place in ("here", "there")]
     for folder in caches:
         shutil.copytree(window_cache, folder, ignore=shutil.ignore_patterns("shards"))
-    for k in (0, 1):
-        save_network(tmp_path / f"fold-{k}.safetensors", seed=k)
+    save_folds(tmp_path, caches)
     cross_fitted_trajectories(caches, tmp_path)
     assert len(list(tmp_path.glob("cross-fitted-*-trajectory.npy"))) == 2
 

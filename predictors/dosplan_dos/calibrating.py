@@ -28,7 +28,7 @@ NOISE_EDGES: Final = (0.003, 0.01, 0.03, 0.1)  # m
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Windows of recordings that the predicting network was not trained on; n of them.
+    """Windows whose trajectories are of networks that were not trained on their recordings; n.
 
     Attributes:
         score: (n, G) scores of the truth at the steps of the grid, NaN where it is not recorded.

@@ -28,6 +28,12 @@ groups that are known beforehand (Mondrian), this holds in each group.
   windows of one recording resemble each other; only recordings are exchangeable. Coverage on new
   recordings therefore varies more than with n independent windows; ``estimate_coverage`` gives
   the standard error.
+* **What had seen the recordings**: ``dosplan train dos`` calibrates on the validation recordings
+  and on the training recordings. Of the training recordings only the trajectories are cross-fitted:
+  the module itself and the features H that it reads have seen these windows, so their scores are
+  not quite exchangeable with new ones. The guarantee holds strictly for the part of the validation
+  recordings alone, as far as choosing the weights by them does not count. What sets cover of other
+  recordings is measured: ``results/prediction``, ``results/calibration``.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ class Windows:
         instructive: (W,) whether the road user moves or is about to.
         recording: (W,) recording.
         weight: (W,) how much each counts: the weight of its scene, see ``WindowCache``.
-        covariates: (W, F) see ``covariates.covariates``.
+        covariates: (W, F) see ``covariates.covariates``; always on the CPU.
         places: The place of each recording.
     """
 
@@ -125,7 +125,12 @@ class Windows:
         generator = torch.Generator().manual_seed(seed)
         chance = torch.rand(len(self.weight), generator=generator).to(self.weight.device)
         kept = chance < self.weight
-        parts = {name: part[kept] for name, part in vars(self).items() if name != "places"}
+        # Covariates stay on the CPU, wherever the others are.
+        parts = {
+            name: part[kept.to(part.device)]
+            for name, part in vars(self).items()
+            if name != "places"
+        }
         return replace(self, **parts | {"weight": torch.ones_like(parts["weight"])})
 
     def sets(self, module: SetModule, rows: Tensor) -> tuple[Sets, Tensor, Tensor]:
@@ -383,6 +388,12 @@ def train_sets(
         WeightsError: Weights cannot be read, those to begin from have other sizes, the folds are of
             other caches (see ``fold_weights``), or what is there was made from anything else.
     """
+    calibrated = [name for name in names if name in training.calibrated]
+    if calibrated and caches and not training.cross_fitted:
+        raise CacheError(
+            f"{caches[0]}: {calibrated[0]} cannot be calibrated on it, the network has learned "
+            "from it; set cross_fitted: true, or take it out of calibrated"
+        )
     opened = [WindowCache.open(path) for path in (*caches, *unseen)]
     held_out = [WindowCache.open(path) for path in validation]
     loop = _loop_of([*opened, *held_out])

@@ -163,6 +163,27 @@ def test_calibration_is_for_the_loop_of_the_windows_and_leaves_the_others(
         calibrated(other)
 
 
+def test_sets_are_not_calibrated_on_errors_of_a_network_that_knows_the_windows(
+    window_cache: Path, tmp_path: Path
+) -> None:
+    config, out = tmp_path / "config.yaml", tmp_path / "out"
+    save_network(tmp_path / "net.safetensors")
+    text = (
+        "fit: {steps: 1, validate_every: 1}\nbatch: 16\ncross_fitted: false\n"
+        "modules: {a: {hidden: 8}, b: {hidden: 8}}\n"
+    )
+    config.write_text(f"{text}calibrated: [b]\n")
+    with pytest.raises(CommandError, match="b cannot be calibrated on it, the network has") as told:
+        train("dos", config, window_cache, out, "--network", tmp_path)
+    assert str(told.value).startswith(f"{window_cache}: ")
+    assert "\n" not in str(told.value)
+    assert not out.exists()
+    # What is not calibrated may learn from them.
+    assert train("dos", config, window_cache, out, "--network", tmp_path, "--only", "a") == 0
+    config.write_text(text)
+    assert train("dos", config, window_cache, out, "--network", tmp_path) == 0
+
+
 def test_training_goes_on_from_weights_with_more_windows(
     window_cache: Path, tmp_path: Path
 ) -> None:

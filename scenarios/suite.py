@@ -16,6 +16,8 @@ SUMO_VERSION = "1.28.0"
 PACKAGES = ("eclipse-sumo", "sumolib", "libsumo")
 HERE = Path(__file__).resolve().parent
 FOLDERS = {"suite": HERE / "suite", "suite-1": HERE / "suite-1"}
+PUBLISHED = {"split": "suite", "seed": 1, "count": 150, "kinds": None}
+"""What the suites in ``FOLDERS`` are made with."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,13 +36,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default="suite",
         help="suite: several futures of each past; suite-1: the first suite (default: suite)",
     )
-    parser.add_argument("--seed", type=int, default=1, help="seed of the suite (default: 1)")
-    parser.add_argument("--count", type=int, default=150, help="number of scenarios (default: 150)")
-    parser.add_argument("--out", type=Path, help="folder for what is made (default: the suite's)")
+    parser.add_argument("--seed", type=int, help="seed of the suite (default: 1)")
+    parser.add_argument("--count", type=int, help="number of scenarios (default: 150)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="folder for what is made (default: the published suite's, for that suite alone)",
+    )
     parser.add_argument(
         "--split",
         choices=("suite", "train"),
-        default="suite",
         help="the suite itself, or other roads and traffic of the same families for training",
     )
     parser.add_argument("--jobs", type=int, default=1, help="processes (default: 1)")
@@ -52,7 +57,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         action="store_true",
         help="go on with what was begun in the folder with the same split and seed; suite only",
     )
+    parser.set_defaults(**PUBLISHED)
     options = parser.parse_args(arguments)
+    if options.out is None and PUBLISHED.items() - vars(options).items():
+        parser.exit(
+            2,
+            f"suite.py: {FOLDERS[options.suite]} holds the published suite, which is made without "
+            "--split, --seed, --count and --kinds; name another folder with --out\n",
+        )
     for package in PACKAGES:
         try:
             found = version(package)

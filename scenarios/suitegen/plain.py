@@ -12,6 +12,11 @@ import sumo
 
 Point = tuple[float, float]
 
+
+class NetworkError(RuntimeError):
+    """A network that netconvert refuses; its message is in the text, in one line."""
+
+
 CAR_LANE_DISALLOWS = "pedestrian tram rail_urban rail rail_electric rail_fast ship"
 
 
@@ -158,7 +163,7 @@ def compile_network(network: Network, folder: Path) -> Path:
         Path of the ``.net.xml``.
 
     Raises:
-        RuntimeError: netconvert refused the network; its message is in the text.
+        NetworkError: netconvert refused the network.
     """
     nodes = Element("nodes")
     for node in network.nodes:
@@ -226,5 +231,5 @@ def compile_network(network: Network, folder: Path) -> Path:
         command, cwd=folder, capture_output=True, text=True, check=False
     )
     if done.returncode != 0:
-        raise RuntimeError(f"netconvert failed: {done.stderr.strip()}")
+        raise NetworkError(f"netconvert failed: {' '.join(done.stderr.split())}")
     return out

@@ -7,11 +7,14 @@ from functools import partial
 from pathlib import Path
 
 from .build import Place, build, drives_csv
-from .manifest import write_manifest
+from .manifest import remove_left_over, write_manifest
+from .networks import ROAD_KINDS
 
 
 def build_suite(seed: int, count: int, out: Path, split: str, jobs: int) -> None:
     """Builds scenarios, their manifest and the table of their recorded drives.
+
+    What a suite that was made in the folder before had besides is removed at the end.
 
     Args:
         seed: Seed of the suite.
@@ -33,3 +36,4 @@ def build_suite(seed: int, count: int, out: Path, split: str, jobs: int) -> None
             print(f"{built.row['id']}  {len(built.data) / 1000:.0f} kB", flush=True)
     (out / "drives.csv.gz").write_bytes(drives_csv(suite))
     write_manifest(out, [built.row for built in suite])
+    remove_left_over(out, {built.row["id"] for built in suite}, ROAD_KINDS)

@@ -28,7 +28,7 @@ from suitegen.futures.simulate import RejectedError, simulate
 from suitegen.futures.staging import EGO, Act, Staging
 from suitegen.futures.verdict import Rejected, judge
 from suitegen.lanelets import convert
-from suitegen.plain import compile_network
+from suitegen.plain import NetworkError, compile_network
 from suitegen.roads import Rng
 from suitegen.sumo_inputs import sumo_inputs
 
@@ -114,12 +114,12 @@ def attempt_at(place: Place, seed: int, attempt: int) -> Built:
         The scenario, with no rejections before it.
 
     Raises:
-        RejectedError: The scene is of no use, or SUMO cannot drive it.
+        RejectedError: The scene is of no use, or SUMO cannot compile its road or drive it.
     """
     with tempfile.TemporaryDirectory(prefix="dosplan-suite-") as name:
         try:
             return _attempt(place, seed, attempt, Path(name))
-        except SumoError as error:
+        except (NetworkError, SumoError) as error:
             raise RejectedError(str(error)) from None
 
 

@@ -75,9 +75,8 @@ def simulate(staging: Staging, acts: Sequence[Act], net: Path, folder: Path, rng
         What was driven.
 
     Raises:
-        RejectedError: Its moment did not come, or not for all.
+        RejectedError: Its moment did not come, or not for all, or SUMO drove two pasts.
         SumoError: SUMO failed; its message is in the text.
-        RuntimeError: SUMO drove two pasts.
     """
     until = staging.warmup + LATEST + staging.seconds
     demand = scene_demand(staging, rng, until)
@@ -106,7 +105,7 @@ def simulate(staging: Staging, acts: Sequence[Act], net: Path, folder: Path, rng
     branch = first.start + round(staging.branch / STEP)
     for run in runs:
         if run.start != first.start or not _same(run.traces, first.traces, branch):
-            raise RuntimeError("SUMO drove two pasts from the same demand and seed")
+            raise RejectedError("SUMO drove two pasts from the same demand and seed")
     begin = staging.warmup + SETTLED * STEP
     last = first.start + round(staging.seconds / STEP)
     traces = tuple(run.traces for run in runs)

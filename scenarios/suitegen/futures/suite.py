@@ -17,8 +17,9 @@ import numpy as np
 
 from dosplan.system.files import write_json
 from suitegen.futures.build import Built, Place, attempt_at, build, drives_csv, places
+from suitegen.futures.kinds import KINDS
 from suitegen.futures.simulate import RejectedError
-from suitegen.manifest import write_manifest
+from suitegen.manifest import remove_left_over, write_manifest
 
 UNFINISHED = "unfinished"
 """Folder for what is kept of each scenario until all are there."""
@@ -37,6 +38,8 @@ def build_suite(
 ) -> bool:
     """Builds scenarios, their manifest and the table of their drives.
 
+    What a suite that was made in the folder before had besides is removed at the end.
+
     Args:
         seed: Seed of the suite.
         count: Number of scenarios.
@@ -48,7 +51,8 @@ def build_suite(
         resume: Whether to keep scenarios that an earlier run made in the folder and was cut off.
 
     Returns:
-        Whether all were made. If not, a later run that resumes can have another try.
+        Whether all were made. A place is a function of the seed alone: one at which every scene was
+        rejected is made by no later run, only with another seed.
     """
     unfinished = out / UNFINISHED
     if not resume:
@@ -79,6 +83,7 @@ def build_suite(
     suite = [made[place] for place in wanted]
     (out / "drives.csv.gz").write_bytes(drives_csv(suite))
     write_manifest(out, [built.row for built in suite])
+    remove_left_over(out, {built.row["id"] for built in suite}, KINDS)
     shutil.rmtree(unfinished)
     return True
 

@@ -67,6 +67,7 @@ class Adaptation:
         self._rate = rate
         self._alpha = 1.0 - coverage
         self._growth: dict[int, float] = {}
+        self._compared: set[int] = set()
         self._past: deque[_HandedOut] = deque(maxlen=REACH)
         self._step: int | None = None
 
@@ -85,7 +86,9 @@ class Adaptation:
             for row in np.flatnonzero(np.isfinite(missed)):
                 g = self._growth[ids[row]] + self._rate * (missed[row] - self._alpha)
                 self._growth[ids[row]] = max(float(g), 0.0)
-            known = [self._growth[name] for name in ids if name in self._growth]
+            # Who cannot move is never compared, and says nothing of newcomers.
+            self._compared.update(ids[row] for row in np.flatnonzero(np.isfinite(missed)))
+            known = [self._growth[name] for name in ids if name in self._compared]
             prior = float(np.mean(known)) if known else 0.0
             for name in ids:
                 self._growth.setdefault(name, prior)

@@ -119,7 +119,7 @@ class DosSettings(PredictorSettings):
             raise ValueError(f"scale is {self.scale}, expected 0 or more")
         if not 0.0 <= self.adaptation <= 1.0:
             raise ValueError(f"adaptation is {self.adaptation}, expected 0 to 1")
-        for name in ("conditional", "adaptation"):
+        for name in ("conditional", "adaptation", "simultaneous"):
             if getattr(self, name) and self.scale is not None:
                 raise ValueError(f"{name} goes with a coverage, not with a scale")
         if self.coverage is not None and not 0.0 < self.coverage < 1.0:
@@ -147,7 +147,7 @@ class DosSettings(PredictorSettings):
         if self.coverage is not None or self.scale is not None:
             return self.coverage
         there = calibration_file(self.sets_file, CalibratedFor.IDEAL).is_file()
-        asked = there or self.conditional or self.adaptation > 0.0
+        asked = there or self.conditional or self.simultaneous or self.adaptation > 0.0
         if not asked:
             return None
         realistic = self.calibration is CalibratedFor.REALISTIC
@@ -173,7 +173,7 @@ class DosPredictor(Predictor):
     measured with ``dosplan evaluate``. Parked and static road users keep sets of zero.
     """
 
-    name = "dos-v4"
+    name = "dos-v5"
     settings = DosSettings
 
     def __init__(self, *, seed: int = 0, settings: DosSettings = DosSettings()) -> None:
@@ -237,11 +237,14 @@ class DosPredictor(Predictor):
         self, observation: Observation, encoded: Encoded, trajectory: Occupancy | None
     ) -> Occupancy:
         """The sets around a trajectory; around the network's own where that is None."""
+        grown = None if self._adaptation is None else self._adaptation.observe(observation)
         courses, log_weight = encoded.trajectory, encoded.log_weight
         if trajectory is not None:
             courses, log_weight = _only_course(observation, encoded, trajectory)
         if not len(encoded.moving):
-            return (trajectory or self.base.predict(observation)).first_steps(self.horizon)
+            # The sets that a base may have are not what was asked for.
+            whole = trajectory or self.base.predict(observation)
+            return whole.first_steps(self.horizon).without_sets()
         likeliest = courses[np.arange(len(courses)), log_weight.argmax(axis=1)]
         semi_axes, double, *centre = (
             array.astype(np.float64)
@@ -255,8 +258,8 @@ class DosPredictor(Predictor):
             )
         )
         factor = self._sizes.factors(observation, encoded)
-        if self._adaptation is not None:
-            factor = factor * self._adaptation.observe(observation)[encoded.moving, None]
+        if grown is not None:
+            factor = factor * grown[encoded.moving, None]
         if not centre:
             sets = _Sets(semi_axes[:, None], double[:, None], likeliest[:, None], None)
             lengths, angle, _ = sets.every_step(factor, self.horizon)
@@ -271,7 +274,8 @@ class DosPredictor(Predictor):
             courses[:, :, : self.horizon],
             sets.every_step(factor, self.horizon),
         )
-        return occupancy_of_union(observation, union)
+        valid = None if trajectory is None else trajectory.valid[:, : self.horizon]
+        return occupancy_of_union(observation, union, valid)
 
     def _new_adaptation(self) -> Adaptation | None:
         """What is learned in an episode, at its beginning; None where nothing is."""

@@ -121,6 +121,7 @@ class SceneEncoder:
             attributes=np.pad(pieces.attributes, ((0, 1), (0, 0))),
         )
         # Single precision resolves centimetres only within kilometres of the origin.
+        self._origin = np.zeros(3)
         if len(pieces.pose):
             self._origin[:2] = pieces.pose[0, :2]
         self._piece_pose = np.pad(pieces.pose - self._origin, ((0, 1), (0, 0))).astype(np.float32)

@@ -63,7 +63,8 @@ class MapPieces:
         shape: (P, PIECE_POINTS, 3) centre line in the piece's own frame and half width there, m.
         attributes: (P, PIECE_ATTRIBUTES) length / ``PIECE_LENGTH``, flags 0 or 1, speed limit in
             units of 30 m/s (0 where the map names none).
-        pose: (P, 3) x, y of the piece's middle, m, and its heading, rad, in the scenario's frame.
+        pose: (P, 3) x, y, m, of the piece's point number PIECE_POINTS // 2, which is near its
+            middle, and the piece's heading, rad, in the scenario's frame.
     """
 
     shape: Float32Array
@@ -81,7 +82,8 @@ class SceneFeatures:
             velocity, m/s, and whether it is known; zeros where it is not.
         static: (N, STATIC_SIZE) kind, size and how much of the history is known.
         neighbours: (N, NEIGHBOURS) rows of the nearest others, -1 for none.
-        pieces: (N, PIECES) rows of the pieces nearest to where it is heading, -1 for none.
+        pieces: (N, PIECES) rows of the pieces nearest to where it is heading, -1 for none; nobody
+            who cannot move has any.
     """
 
     pose: FloatArray
@@ -148,12 +150,14 @@ def describe(observation: Observation, pieces: MapPieces) -> SceneFeatures:
     past[..., 4] = states[..., USER_VELOCITY]
     past[..., 5] = 1.0
     past[~valid] = 0.0
+    ahead = np.full((len(now), PIECES), -1, dtype=np.int64)
+    ahead[observation.moves] = _pieces_ahead(pose[observation.moves], pieces.pose)
     return SceneFeatures(
         pose=pose,
         history=history,
         static=_static(observation.kinds, observation.size, history[..., 5].mean(axis=1)),
         neighbours=_nearest_others(pose),
-        pieces=_pieces_ahead(pose, pieces.pose),
+        pieces=ahead,
     )
 
 

@@ -1,4 +1,4 @@
-"""``net-v4``: the trained trajectory network as a predictor. Its sets are points."""
+"""``net-v5``: the trained trajectory network as a predictor. Its sets are points."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from dosplan_net.engine import Engine
 from dosplan_net.features import HORIZON
 
 HEADING_SPAN = 3  # Steps on either side whose chord gives the heading at a step.
+REVERSING = 0.1  # m; shorter chords do not tell whether a road user goes backwards.
 HEADING_MEMORY = 0.5  # m; on a chord much shorter than this, the present heading is kept.
 
 
@@ -82,7 +83,7 @@ class NetSettings(PredictorSettings):
 class NetPredictor(Predictor):
     """Trajectories of the trained network; parked and static road users stay where they are."""
 
-    name = "net-v4"
+    name = "net-v5"
     settings = NetSettings
     has_sets = False
 
@@ -147,8 +148,8 @@ def turned(local: FloatArray) -> FloatArray:
     """Headings along trajectories.
 
     The direction of the chord around each step, blended with the present heading where the chord
-    is short: the direction of a trajectory that hardly moves is noise. Where a trajectory begins
-    backwards, the road user is taken to reverse.
+    is short: the direction of a trajectory that hardly moves is noise. Where the first chord that
+    is long enough to tell points backwards, the road user is taken to reverse.
 
     Args:
         local: (..., T, 2) trajectories, each in its road user's frame, m.
@@ -161,6 +162,9 @@ def turned(local: FloatArray) -> FloatArray:
     later = np.minimum(steps + HEADING_SPAN, with_start.shape[-2] - 1)
     earlier = np.maximum(steps - HEADING_SPAN, 0)
     chord = with_start[..., later, :] - with_start[..., earlier, :]
-    chord *= np.where(chord[..., :1, :1] < 0.0, -1.0, 1.0)
+    ahead = chord[..., 0]
+    first = np.argmax(np.abs(ahead) > REVERSING, axis=-1, keepdims=True)
+    reverses = np.take_along_axis(ahead, first, axis=-1) < -REVERSING
+    chord *= np.where(reverses, -1.0, 1.0)[..., None]
     angle = np.arctan2(chord[..., 1], chord[..., 0] + HEADING_MEMORY)
     return np.asarray(np.unwrap(angle, axis=-1), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""``wale-net-v1``: the pretrained Wale-Net, whose Gaussians become ellipses.
+"""``wale-net-v2``: the pretrained Wale-Net, whose Gaussians become ellipses.
 
 Geisslinger, Karle et al., https://github.com/TUMFTM/Wale-Net, as its class ``WaleNet`` drives it,
 with two differences: road users go through the network together, and the last position it is shown
@@ -58,7 +58,7 @@ class WaleNetSettings(PredictorSettings):
 class WaleNetPredictor(Predictor):
     """Wale-Net; parked and static road users, which it does not know, stay where they are."""
 
-    name = "wale-net-v1"
+    name = "wale-net-v2"
     settings = WaleNetSettings
 
     def __init__(self, *, seed: int = 0, settings: WaleNetSettings = WaleNetSettings()) -> None:

@@ -117,6 +117,22 @@ def test_who_comes_later_begins_with_the_mean_of_those_there() -> None:
     assert growth[30, 2] > 1.2
 
 
+def test_who_cannot_move_says_nothing_of_newcomers() -> None:
+    """Many parked cars, whose sets are points, and one that leaves its sets."""
+    scenario = moving_by([np.full(40, 3.0), np.zeros(40), *[np.zeros(40)] * 20], first=(0, 30))
+    adaptation = Adaptation(RATE, COVERAGE)
+    growth = np.zeros((40, 22))
+    for observation in watch(scenario, 1):
+        found = adaptation.observe(observation)
+        rows = observation.ids - 100
+        growth[observation.step, rows] = found
+        sets = circles(observation, found)
+        moves = (rows < 2)[:, None, None]
+        adaptation.remember(observation, replace(sets, semi_axes=sets.semi_axes * moves))
+    assert growth[30, 1] == pytest.approx(growth[30, 0])
+    assert growth[30, 1] > 1.5
+
+
 def test_nothing_is_learned_twice_at_a_step() -> None:
     adaptation = Adaptation(RATE, COVERAGE)
     for observation in watch(moving_by([np.full(10, 3.0)]), 1):

@@ -13,11 +13,18 @@ from dosplan_dos.shapes import Variant
 from dosplan_dos.training import load_module
 from dosplan_net.predictor import NetPredictor, NetSettings
 from dosplan_simple.predictors import ConstantVelocityPredictor, NonePredictor
+from dosplan_simple.sets import FixedCirclePredictor
 
 from dosplan.api import PluginSpec, Predictor, PredictorSettings
 from dosplan.plugins.conformance import check_predictor
-from dosplan.scenario.synthetic import busy_scenario, crowded_scenario
-from dosplan.types import FloatArray, Observation, Occupancy
+from dosplan.scenario.synthetic import (
+    busy_scenario,
+    crowded_scenario,
+    steady_tracks,
+    straight_scenario,
+)
+from dosplan.simulation.world import watch
+from dosplan.types import FloatArray, Observation, Occupancy, RoadUserKind
 from tests.support.models import MODES, moved, save_network, save_sets, save_unions, seen, turned
 
 CONSTANT: PluginSpec[Predictor] = PluginSpec(ConstantVelocityPredictor)
@@ -136,6 +143,7 @@ def test_a_shorter_horizon_is_the_beginning(settings: DosSettings, horizon: int)
         ({"coverage": 0.0}, "coverage is 0.0, expected a share between 0 and 1"),
         ({"conditional": True, "scale": 1.0}, "conditional goes with a coverage, not with a scale"),
         ({"adaptation": 0.2, "scale": 1.0}, "adaptation goes with a coverage, not with a scale"),
+        ({"simultaneous": True, "scale": 1.0}, "simultaneous goes with a coverage, not with a"),
         ({"adaptation": 2.0, "coverage": 0.9}, "adaptation is 2.0, expected 0 to 1"),
         ({"horizon": 41}, "horizon is 41, expected 40 or less"),
         ({"horizon": 0}, "horizon is 0, expected 1 or more"),
@@ -158,6 +166,8 @@ def test_what_is_missing_is_refused_when_it_is_built(settings: DosSettings) -> N
         DosPredictor(settings=replace(settings, adaptation=0.2))
     with pytest.raises(ValueError, match="never calibrated"):
         DosPredictor(settings=replace(settings, coverage=0.9))
+    with pytest.raises(ValueError, match="never calibrated"):
+        DosPredictor(settings=replace(settings, simultaneous=True))
     with pytest.raises(ValueError, match="there are no sets called 'absent'"):
         DosPredictor(settings=replace(settings, sets="absent"))
 
@@ -204,6 +214,32 @@ def test_covering_the_whole_horizon_takes_more_than_covering_each_step() -> None
     whole = predict(DosSettings(coverage=0.9, simultaneous=True), observation)
     moving = each.semi_axes[..., 0] > 0
     assert np.mean(whole.semi_axes[moving] >= each.semi_axes[moving]) > 0.9
+
+
+def test_where_nobody_can_move_a_bases_own_sets_are_not_handed_out(
+    settings: DosSettings,
+) -> None:
+    tracks = steady_tracks([[20.0, 0.0, 0.0, 0.0]])
+    parked = replace(tracks, kinds=(RoadUserKind.PARKED,))
+    base: PluginSpec[Predictor] = PluginSpec(FixedCirclePredictor)
+    sets = predict(replace(settings, base=base), seen(straight_scenario(parked)))
+    assert not sets.semi_axes.any()
+
+
+def test_adaptation_begins_where_nobody_can_move() -> None:
+    """A parked car alone at first; another car comes later."""
+    tracks = steady_tracks([[20.0, 0.0, 0.0, 0.0], [-20.0, 3.0, 0.0, 5.0]], steps=12)
+    valid = np.array(tracks.valid)
+    valid[1, :6] = False
+    kinds = (RoadUserKind.PARKED, RoadUserKind.CAR)
+    scenario = straight_scenario(replace(tracks, kinds=kinds, valid=valid))
+    base: PluginSpec[Predictor] = PluginSpec(FixedCirclePredictor)
+    predictor = DosPredictor(
+        settings=DosSettings(sets="coverage", coverage=0.9, adaptation=0.2, base=base)
+    )
+    predictor.reset(scenario.task, scenario.road_map)
+    sizes = [predictor.predict(now).semi_axes for now in watch(scenario, 1)]
+    assert sizes[-1][1].any()
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["around", "beside"])
@@ -257,6 +293,11 @@ def test_unions_grow_with_their_scale(union_settings: DosSettings) -> None:
     assert twice is not None
     np.testing.assert_allclose(twice.semi_axes, 2.0 * once.semi_axes)
     np.testing.assert_array_equal(twice.weight, once.weight)
+
+
+def test_who_leaves_the_scene_by_the_base_has_no_union_there(union_settings: DosSettings) -> None:
+    sets = predict(replace(union_settings, base=PluginSpec(NonePredictor)), seen(busy_scenario()))
+    assert not sets.valid.any()
 
 
 def test_unions_on_another_base_have_one_ellipse(union_settings: DosSettings) -> None:

@@ -107,6 +107,15 @@ def test_who_reverses_keeps_looking_ahead() -> None:
     assert np.all((found < -0.05) & (found > -0.1))
 
 
+def test_who_is_about_to_drive_off_looks_ahead() -> None:
+    # A bus at its stop: noise of millimetres first, forwards after that.
+    way = np.where(SECONDS < 1.5, -0.002, 1.5 * np.maximum(SECONDS - 1.5, 0.0) ** 2)
+    for back in (-0.002, -0.05):
+        way[:5] = back
+        found = headings(np.stack([way, np.zeros(40)], -1))
+        np.testing.assert_allclose(found, 0.0, atol=1e-6)
+
+
 def test_who_turns_round_looks_back_in_the_end() -> None:
     # 5 m/s on 6 m: 0.83 rad/s, more than half a turn in 4 s.
     turn = 5.0 / 6.0 * SECONDS

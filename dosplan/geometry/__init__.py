@@ -8,6 +8,7 @@ from dosplan.geometry.ellipse import (
     mahalanobis,
     set_sizes,
 )
+from dosplan.geometry.lanes import side_by_side
 from dosplan.geometry.lights import NO_LIGHT, LightIndex, LightsAhead, lights_at
 from dosplan.geometry.path import (
     PATH_CURVATURE,
@@ -72,6 +73,7 @@ __all__ = [
     "set_area",
     "set_distance",
     "set_sizes",
+    "side_by_side",
     "to_body",
     "to_world",
     "wrap_angle",

@@ -21,6 +21,7 @@ PATH_CURVATURE: Final = 3
 PATH_SIZE: Final = 4
 """Number of columns of a path."""
 
+_AS_NEAR: Final = 0.5  # m; a lap that comes by no farther off than this is as near as another.
 _NEWTON_STEPS: Final = 4  # From a few metres off they end within a millimetre.
 _LONGEST_STEP: Final = 12.0  # m; keeps Newton's method on its branch where the path turns back.
 
@@ -84,6 +85,28 @@ class ReferencePath:
         """
         along = shapely.line_locate_point(self._line, shapely.points(points))
         return np.asarray(along + self.arclength[0])
+
+    def locate_first(self, point: FloatArray) -> float:
+        """Arc length of the first place at which the path is as near to a point as anywhere.
+
+        A path that goes round a ring comes by more than once.
+
+        Args:
+            point: (2,) m.
+
+        Returns:
+            m.
+        """
+        nearest = float(self.locate(point))
+        away = np.hypot(*(self.points - point).T)
+        near = away < away.min() + _AS_NEAR
+        first = int(np.argmax(near))
+        count = int(np.argmin(near[first:])) or len(near) - first
+        if nearest <= self.arclength[first + count - 1] or count < 2:
+            return nearest
+        lap = shapely.LineString(self.points[first : first + count])
+        along = shapely.line_locate_point(lap, shapely.Point(point))
+        return float(self.arclength[first] + along)
 
     def heading_at(self, arclength: FloatArray | float) -> FloatArray:
         """Heading of the path.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from dosplan.types.checks import check_numbers
 from dosplan_baseline.constant import ConstantAccelerationPlanner
 
 
@@ -18,8 +19,7 @@ class BrakeSettings:
     deceleration: float = 8.0
 
     def __post_init__(self) -> None:
-        if self.deceleration <= 0.0:
-            raise ValueError(f"deceleration is {self.deceleration}, expected more than 0")
+        check_numbers(self, positive={"deceleration"})
 
 
 class BrakePlanner(ConstantAccelerationPlanner):

@@ -1,4 +1,4 @@
-"""``idm-v2``: the Intelligent Driver Model along the route.
+"""``idm-v3``: the Intelligent Driver Model along the route.
 
 Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic
 simulations", Phys. Rev. E 62, 2000; the free-road term and the figures are those of Treiber,
@@ -32,10 +32,12 @@ from dosplan.types import (
     RoadMap,
     SolveReport,
 )
+from dosplan.types.checks import check_numbers
 from dosplan.vehicle import VehicleParameters
 from dosplan_baseline.tracking import PLAN_STEPS, PathFollower, bend_speed, extended_path
 
 _UNLIMITED = 100.0  # m/s; stands for no speed limit.
+_BESIDE = 5.0  # m; a region that is farther off the path is not come by.
 
 
 @dataclass(frozen=True)
@@ -76,15 +78,13 @@ class IdmSettings:
     stops: StopSettings = StopSettings()
 
     def __post_init__(self) -> None:
-        for name in ("time_gap", "least_gap", "side_margin", "goal_margin"):
-            if getattr(self, name) < 0.0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
-        for name in (
-            "acceleration", "deceleration", "exponent", "full_braking", "lateral_acceleration",
-            "least_velocity", "searched_steps", "limit_factor",
-        ):  # fmt: skip
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected more than 0")
+        check_numbers(
+            self,
+            positive={
+                *("acceleration", "deceleration", "exponent", "full_braking"),
+                *("lateral_acceleration", "least_velocity", "searched_steps", "limit_factor"),
+            },
+        )
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Leaders:
 
     Attributes:
         rear: (L,) arc length of their nearest point, m.
-        velocity: (L,) velocity along the path, m/s, not negative.
+        velocity: (L,) velocity along the path, m/s, negative of who comes towards the ego.
     """
 
     rear: FloatArray
@@ -131,6 +131,7 @@ def idm_acceleration(
         m/s2, at least ``-settings.full_braking``.
     """
     most, comfortable = settings.acceleration, settings.deceleration
+    velocity = max(velocity, 0.0)  # Braking to a stop, rounding can leave a little less.
     if velocity <= desired:
         free = most * (1.0 - (velocity / desired) ** settings.exponent)
     else:
@@ -222,7 +223,9 @@ class IdmEpisode:
         self._route_arclength = task.route.arclength
         self._rules = StopRules(task, settings.stops)
         self._start_velocity = float(task.start[EGO_VELOCITY])
-        self._goals = [(goal, _extent(goal, path, settings.goal_margin)) for goal in task.goals]
+        goals = [(goal, _extent(goal, path, settings.goal_margin)) for goal in task.goals]
+        on_path = [pair for pair in goals if _is_beside(pair[0], path)]
+        self._goals = on_path or goals
 
     def plan(self, observation: Observation, occupancy: Occupancy, steps: int) -> Plan:
         """Rolls the model out behind leaders that keep their speed.
@@ -269,9 +272,9 @@ class IdmEpisode:
         Returns:
             m/s; not positive where it is there.
         """
-        goal, (near, _) = self._next_goal(observation.step)
-        time = (max(goal.last_step, observation.step + 1) - observation.step) * observation.dt
         s = float(self._follower.path.locate(self._follower.vehicle.centre(observation.ego)))
+        goal, (near, _) = self._next_goal(observation.step, s)
+        time = (max(goal.last_step, observation.step + 1) - observation.step) * observation.dt
         return (near - s) / time
 
     def desired_velocity(self, observation: Observation) -> float:
@@ -281,22 +284,38 @@ class IdmEpisode:
             m/s.
         """
         now = observation.step
-        goal, (near, far) = self._next_goal(now)
+        s = float(self._follower.path.locate(self._follower.vehicle.centre(observation.ego)))
+        goal, (near, far) = self._next_goal(now, s)
         window = max(goal.first_step, now + 1), max(goal.last_step, now + 1)
         time = (0.5 * sum(window) - now) * observation.dt
-        s = float(self._follower.path.locate(self._follower.vehicle.centre(observation.ego)))
         on_time = float(np.clip(self._start_velocity, (near - s) / time, (far - s) / time))
         return float(np.clip(on_time, *(goal.velocity or (0.0, np.inf))))
 
-    def _next_goal(self, now: int) -> tuple[GoalState, tuple[float, float]]:
-        """The first goal whose time is not over, or the last one; and where it begins and ends."""
-        return next((pair for pair in self._goals if pair[0].last_step > now), self._goals[-1])
+    def _next_goal(self, now: int, s: float) -> tuple[GoalState, tuple[float, float]]:
+        """The goal that asks for the least speed, of those that are left; and where it is.
+
+        Left are those beside the path whose time is not over, and that are not passed; the last
+        goal where there is none.
+
+        Args:
+            now: Present step.
+            s: Arc length of the ego's centre, m.
+
+        Returns:
+            The goal, and the arc lengths at which it begins and ends, m.
+        """
+        left = [pair for pair in self._goals if pair[0].last_step > now and pair[1][1] > s]
+        return min(
+            left,
+            key=lambda pair: max(pair[1][0] - s, 0.0) / (pair[0].last_step - now),
+            default=self._goals[-1],
+        )
 
 
 class IdmPlanner(Planner):
     """Follows the route, the goal's deadline and the leader."""
 
-    name = "idm-v2"
+    name = "idm-v3"
     settings = IdmSettings
     plan_steps: int = PLAN_STEPS
 
@@ -331,6 +350,13 @@ class IdmPlanner(Planner):
         if self._episode is None:
             raise RuntimeError("no episode has begun: reset comes before plan")
         return self._episode.plan(observation, occupancy, self.plan_steps)
+
+
+def _is_beside(goal: GoalState, path: ReferencePath) -> bool:
+    """Whether the path comes by a goal's region; one without a region is anywhere."""
+    if goal.region is None:
+        return True
+    return bool(shapely.dwithin(goal.region, shapely.LineString(path.points), _BESIDE))
 
 
 def _extent(goal: GoalState, path: ReferencePath, most: float) -> tuple[float, float]:

@@ -50,12 +50,12 @@ class Arrival:
     Attributes:
         states: (N + 1, 6) states of the optimal control problem.
         inputs: (N, 2) steering rate, rad/s, and acceleration, m/s2.
-        steps: Steps until the goal is met.
+        step: Step of the first state.
     """
 
     states: FloatArray
     inputs: FloatArray
-    steps: int
+    step: int
 
 
 class Arrivals:
@@ -126,7 +126,11 @@ class Arrivals:
         until = min(horizon, max(goal.last_step for goal in due) - step)
         quickest = max(fastest, float(start[EGO_VELOCITY]))
         if kept is not None:  # What was found is driven to its end: no other plan knows of it.
-            tried = _later(kept.states[1:, EGO_STEERING]), _later(kept.inputs[:, ACCELERATION])
+            passed = step - kept.step
+            tried = (
+                _later(kept.states[1:, EGO_STEERING], passed),
+                _later(kept.inputs[:, ACCELERATION], passed),
+            )
             self._kept = self._best(start, tried, until, step, due, sets, quickest)
         if self._kept is not None:
             return self._kept
@@ -185,7 +189,7 @@ class Arrivals:
                 return Arrival(
                     np.vstack([states[index], beyond[0][0, 1:]]),
                     np.vstack([inputs[index], beyond[1][0]]),
-                    steps,
+                    step,
                 )
         return None
 
@@ -298,6 +302,7 @@ class Arrivals:
         return bool((sets.at(slice(steps)).distance(discs) >= _EVASIVE).all())
 
 
-def _later(values: FloatArray) -> FloatArray:
-    """(1, N) values a step later, the last one held."""
-    return np.append(values[1:], values[-1])[None]
+def _later(values: FloatArray, steps: int) -> FloatArray:
+    """(1, N) values some steps later, the last one held."""
+    held = np.minimum(np.arange(len(values)) + steps, len(values) - 1)
+    return np.asarray(values[held])[None]

@@ -516,7 +516,7 @@ class MpcConfig(DeadlineSettings):
         check_numbers(
             self,
             positive={
-                *("horizon", "discs", "slack_curvature", "norm_rounding", "grip"),
+                *("horizon", "slots", "discs", "slack_curvature", "norm_rounding", "grip"),
                 *("resample_every", "max_iterations", "cycle_iterations", "tolerance"),
                 "initial_barrier",
             },

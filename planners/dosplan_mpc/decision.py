@@ -203,6 +203,12 @@ class Decision:
         """The decision in a few words; None where the ego just goes on."""
         return "; ".join(one.words for one in self.chosen if one.words) or None
 
+    @property
+    def entry(self) -> float:
+        """Time from now until which the ego stays where it is between two lanes, s."""
+        gaps = (one.gap for one in self.chosen if isinstance(one, TakeGap))
+        return max((gap.entry for gap in gaps if isinstance(gap, Gap)), default=0.0)
+
     def lead(self, profile: SpeedProfile) -> SpeedProfile:
         """The reference that leads into the classes of plans that were chosen.
 

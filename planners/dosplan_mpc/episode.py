@@ -20,6 +20,7 @@ from dosplan.types import (
     Plan,
     PlanningTask,
     RoadMap,
+    Route,
     SolveReport,
 )
 from dosplan.vehicle import VehicleParameters
@@ -52,6 +53,7 @@ from dosplan_mpc.stage import (
 from dosplan_mpc.traffic import Lane, Traffic
 
 _ASTRAY: Final = 0.02  # Way off the road, unseen by a plan, from which on it is solved again, m.
+_ANY_VELOCITY: Final = (0.0, np.inf)  # m/s
 _FAR_ASTRAY: Final = 0.5  # From which on its way is of no use, m.
 _LAST_PLAN: Final = "last plan"
 _ARRIVAL: Final = "arrival"
@@ -176,12 +178,14 @@ class MpcEpisode:
         # (N,) on entering a set at each step.
         self._penalty = config.set_penalty * np.linspace(1.0, config.far_penalty, config.horizon)
         self._path = aligned_path(task, config.path)
-        end = _end_of_road(task, road_map)
+        self._arclength = self._path.locate_first(task.start[:2])
+        end = _end_of_road(task.route, road_map, self._arclength)
         self._farthest = end - vehicle.length / 2.0 - config.path.end_margin
         found = [locate_goal(goal, self._path, config.goal, self._farthest) for goal in task.goals]
         windows = tuple(window for window in found if isinstance(window, GoalWindow))
         self._reach = Reach(task, found, vehicle)
         self._has_goals = bool(windows)
+        self._velocity = _velocity_asked(task) if not windows else _ANY_VELOCITY
         self._lane = Lane(config.traffic, self._path, vehicle, float(task.start[EGO_VELOCITY]))
         limits = LegalSpeed.of(task.route, config.speed.limit_factor)
         self._speed = SpeedPlanner(config, vehicle, self._path, windows, limits, task.dt)
@@ -203,7 +207,6 @@ class MpcEpisode:
         self._arrivals = Arrivals(
             config.arrival, task, turned, self._road.area, vehicle, self._sampler
         )
-        self._arclength = float(self._path.locate(task.start[:2]))
         self._last: _LastCycle | None = None
 
     def plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
@@ -219,7 +222,9 @@ class MpcEpisode:
         self._effort.begin()
         scene = self._look(observation, occupancy)
         attempts, spare = self._attempts(observation.step, scene)
-        best = min(attempts, key=lambda a: (not a.solution.usable, a.cost), default=None)
+        best = min(
+            attempts, key=lambda a: (not a.solution.usable, not a.keeps_road, a.cost), default=None
+        )
         solved = best if best is not None and self._is_driven(best, spare, scene) else None
         lost = self._reach.unreachable(observation.step, observation.ego, scene.ego.position)
         report = replace(_report(attempts, best, scene.decision), unreachable=lost)
@@ -276,9 +281,14 @@ class MpcEpisode:
         # The road that is left on the map has to last until the final step.
         left = max(self._final_step - observation.step, 1) * self._dt
         cruise = min(traffic.cruise, max(self._farthest - ego.position, 0.0) / left)
-        profile = self._speed.plan(ego, replace(traffic, cruise=cruise), decision.stop)
+        cruise = float(np.clip(cruise, *self._velocity))
+        lost = self._reach.lost(observation.step, observation.ego, ego.position)
+        window = self._speed.next_goal(ego, lost)
+        profile = self._speed.plan(ego, replace(traffic, cruise=cruise), window, decision.stop)
         decision = self._decisions.about_gaps(decision, observation, occupancy, ego, profile)
         profile = decision.lead(profile)
+        if decision.leads:  # It is elsewhere along the path now.
+            profile = self._speed.beside_goal(profile, window, ego.step, decision.entry)
         return _Scene(
             start=np.append(observation.ego, _previous_acceleration(observation)),
             ego=ego,
@@ -339,14 +349,16 @@ class MpcEpisode:
         due = last is None or new or last.cycles % self._config.resample_every == 0
         pressed = last is not None and last.slack > settings.slack_seen
         done = not due and not pressed and _any_keeps_road(attempts)
-        if warm is not None and (done or not self._effort.in_time()):
+        if warm is not None and done:
             return attempts, _Spare(_LAST_PLAN, warm)
+        bar = np.inf if warm is None else self._cost_of(warm, scene)
+        if warm is not None and not self._effort.in_time():
+            return attempts, _Spare(_LAST_PLAN, warm, bar)
         sampled = self._sampler.sample(scene.start, scene.ego, scene.profile)
         if scene.decision.leads:
             led = self._sampler.led(scene.start, scene.ego, scene.profile)
             sampled = sampled.joined(led)
         candidate, cost = self._best_of(scene, sampled)
-        bar = np.inf if warm is None else self._cost_of(warm, scene)
         kept = 0.0 if new else max(settings.worth_it, settings.better * bar)
         better = cost < bar - kept
         if (better or not _any_keeps_road(attempts)) and self._effort.allows_solve():
@@ -490,6 +502,12 @@ class MpcEpisode:
         )
 
 
+def _velocity_asked(task: PlanningTask) -> tuple[float, float]:
+    """Least and largest velocity, m/s, of the first goal that has no region; of none, any."""
+    asked = (goal.velocity for goal in task.goals if goal.region is None)
+    return next((velocity for velocity in asked if velocity is not None), _ANY_VELOCITY)
+
+
 def _any_keeps_road(attempts: list[_Attempt]) -> bool:
     return any(attempt.keeps_road for attempt in attempts)
 
@@ -518,10 +536,9 @@ def _plan(observation: Observation, guess: Guess, report: SolveReport) -> Plan:
     return Plan(states=states, inputs=guess.inputs, report=report)
 
 
-def _end_of_road(task: PlanningTask, road_map: RoadMap) -> float:
-    """Arc length, m, at which the route's path first leaves the road after the start."""
-    route = task.route
-    begin = int(np.argmin(np.hypot(*(route.path - task.start[:2]).T)))
+def _end_of_road(route: Route, road_map: RoadMap, start: float) -> float:
+    """Arc length, m, at which a route's path first leaves the road after some arc length."""
+    begin = int(np.searchsorted(route.arclength, start))
     off = ~shapely.contains_xy(road_map.drivable, route.path[begin:])
     return float(route.arclength[begin + int(np.argmax(off))]) if off.any() else np.inf
 

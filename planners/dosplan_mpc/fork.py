@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 from shapely import Geometry, Polygon
 
-from dosplan.geometry import rectangle_corners
+from dosplan.geometry import lanelet_polygon, rectangle_corners
 from dosplan.types import Lanelet, PlanningTask, RoadMap
 
 _DEPTH: Final = 3  # Lanelets of a branch that are taken out; what follows is far from the path.
@@ -49,10 +49,14 @@ def other_branches(
         names = {name for name in after if name in lanelets} - own - branches
     if not branches:
         return Polygon()
-    closed = shapely.union_all([_area(lanelets[name]) for name in branches])
+    closed = shapely.union_all(
+        [lanelet_polygon(lanelets[name].left, lanelets[name].right) for name in branches]
+    )
     box = closed.bounds
     others = [
-        _area(one) for one in lanelets.values() if one.id not in branches and _reaches(one, box)
+        lanelet_polygon(one.left, one.right)
+        for one in lanelets.values()
+        if one.id not in branches and _reaches(one, box)
     ]
     path = shapely.LineString(task.route.path).buffer(half_width)
     closed = closed.difference(shapely.union_all([path, *others]).buffer(mouth))
@@ -83,9 +87,3 @@ def _reaches(lanelet: Lanelet, box: tuple[float, float, float, float]) -> bool:
     points = np.concatenate([lanelet.left, lanelet.right])
     low, high = points.min(axis=0), points.max(axis=0)
     return bool(np.all(low <= box[2:]) and np.all(high >= box[:2]))
-
-
-def _area(lanelet: Lanelet) -> Geometry:
-    """The area of a lanelet, m."""
-    ring = [*lanelet.left, *lanelet.right[::-1]]
-    return shapely.make_valid(Polygon(ring))

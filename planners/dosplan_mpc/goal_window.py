@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Final
 
 import numpy as np
 import shapely
 
 from dosplan.geometry import PATH_HEADING, PATH_X, PATH_Y, EvenPath, wrap_angle
-from dosplan.types import BoolArray, FloatArray, GoalState
+from dosplan.types import BoolArray, FloatArray, GoalState, IntArray
 from dosplan_mpc.config import GoalSettings
 
 Interval = tuple[float, float]
+_FINER: Final = 5  # How many times finer a region is looked for that was not found.
 
 
 @dataclass(frozen=True)
@@ -59,8 +62,15 @@ def locate_goal(
     """
     if goal.region is None:
         return None
-    for turn in (settings.turn, settings.widest_turn):
-        window = _locate(goal, goal.region, path, settings, turn)
+    # A region that is smaller than the spacing of the search lies between its places.
+    fine = replace(
+        settings,
+        spacing=settings.spacing / _FINER,
+        lateral_spacing=settings.lateral_spacing / _FINER,
+        edge_margin=0.0,
+    )
+    for search, turn in product((settings, fine), (settings.turn, settings.widest_turn)):
+        window = _locate(goal, goal.region, path, search, turn)
         if window is not None:
             return replace(window, end=max(min(window.end, farthest), window.begin))
     return _why_not(goal, goal.region, path, settings)
@@ -102,7 +112,7 @@ def _locate(
     touched = np.any(inside, axis=1)
     if not touched.any():
         return None
-    first, last = _first_stretch(touched)
+    first, last = _first_stretch(touched, np.flatnonzero(near))
     low, high = _common_offsets(inside[first : last + 1], offsets, settings.common_share)
     right, left = float(offsets[low]), float(offsets[high])
     offset = _nearest_offset(right, left, settings.lateral_margin)
@@ -145,12 +155,12 @@ def _inside(region: shapely.Geometry, rows: FloatArray, offsets: FloatArray) -> 
     return inside
 
 
-def _first_stretch(touched: BoolArray) -> tuple[int, int]:
-    """First and last index of the first run of true values."""
+def _first_stretch(touched: BoolArray, place: IntArray) -> tuple[int, int]:
+    """First and last index of the first run of true values at places that follow each other."""
     first = int(np.argmax(touched))
-    stretch = touched[first:]
-    length = len(stretch) if stretch.all() else int(np.argmin(stretch))
-    return first, first + length - 1
+    goes_on = touched[first + 1 :] & (np.diff(place[first:]) == 1)
+    more = len(goes_on) if goes_on.all() else int(np.argmin(goes_on))
+    return first, first + more
 
 
 def _common_offsets(inside: BoolArray, offsets: FloatArray, share: float) -> tuple[int, int]:
@@ -160,7 +170,7 @@ def _common_offsets(inside: BoolArray, offsets: FloatArray, share: float) -> tup
     """
     quarter = (len(inside) - 1) // 4
     held = inside[quarter : len(inside) - quarter].mean(axis=0)
-    common = held > share * held.max()
+    common = held >= share * held.max()
     low = high = int(np.argmin(np.where(common, np.abs(offsets), np.inf)))
     while low > 0 and common[low - 1]:
         low -= 1

@@ -10,14 +10,14 @@ has changed lanes, unless another one is better by a margin or it closes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final, Self
 
 import numpy as np
 
-from dosplan.geometry import EvenPath, ellipse_extent
+from dosplan.geometry import EvenPath, ellipse_extent, side_by_side
 from dosplan.types import (
     USER_HEADING,
     USER_VELOCITY,
@@ -112,33 +112,10 @@ def lane_changes(route: Route, road_map: RoadMap, path: EvenPath) -> tuple[LaneC
     for number, (a, b) in enumerate(pairwise(chain), start=1):
         if b.id in a.successors or b.id not in (a.left_neighbour, a.right_neighbour):
             continue
-        pairs, first = _side_by_side(chain[:number], chain[number:], lanelets)
+        pairs, first = side_by_side(chain[:number], chain[number:], lanelets)
         before, after = ([pair[i] for pair in pairs] for i in range(2))
         out.append(LaneChange.of(before, after, first, path))
     return tuple(out)
-
-
-def _side_by_side(
-    before: Sequence[Lanelet], after: Sequence[Lanelet], lanelets: Mapping[int, Lanelet]
-) -> tuple[list[tuple[Lanelet, Lanelet]], int]:
-    """Pairs of lanelets beside each other around a change, and which of them it is at."""
-    to_left = before[-1].left_neighbour == after[0].id
-    side, other = "left_neighbour", "right_neighbour"
-    if not to_left:
-        side, other = other, side
-    pairs = [(before[-1], after[0])]
-    for lanelet in before[-2::-1]:
-        beside = lanelets.get(getattr(lanelet, side) or -1)
-        if beside is None or pairs[0][0].id not in lanelet.successors:
-            break
-        pairs.insert(0, (lanelet, beside))
-    first = len(pairs) - 1
-    for lanelet in after[1:]:
-        beside = lanelets.get(getattr(lanelet, other) or -1)
-        if beside is None or lanelet.id not in pairs[-1][1].successors:
-            break
-        pairs.append((beside, lanelet))
-    return pairs, first
 
 
 @dataclass(frozen=True)
@@ -388,10 +365,12 @@ class GapDecision:
     def _users(self, observation: Observation, occupancy: Occupancy, rows: IntArray) -> _Users:
         """The road users of some rows along the path, from the last to the first."""
         dt, now = observation.dt, observation.present
-        rows = rows[np.argsort(self._path.locate(now[rows, :2]), kind="stable")]
+        along = self._path.locate(now[rows, :2])
+        order = np.argsort(along, kind="stable")
+        rows, along = rows[order], along[order]
         now = now[rows]
-        along = self._path.locate(now[:, :2])
-        columns = np.arange(_KNOTS - 1, occupancy.horizon, _KNOTS)
+        last = occupancy.horizon - 1
+        columns = np.unique(np.append(np.arange(_KNOTS - 1, last, _KNOTS), last))
         seconds = (columns + 1) * dt
         valid = occupancy.valid[rows][:, columns]
         carried = along[:, None] + now[:, USER_VELOCITY, None] * seconds

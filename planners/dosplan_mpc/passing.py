@@ -99,6 +99,7 @@ class PassingDecision:
         self._vehicle = vehicle
         self._half_width = half_width
         self._going: frozenset[int] = frozenset()
+        self._stood: tuple[bytes, FloatArray, FloatArray] | None = None
 
     def decide(self, observation: Observation, occupancy: Occupancy, ego: EgoOnPath) -> Pass | None:
         """What the ego passes, or waits to pass, now.
@@ -137,17 +138,17 @@ class PassingDecision:
         if not len(standing):
             return None
         settings, half, vehicle = self._settings, self._half_width, self._vehicle
-        poses = observation.states[standing, -1, :3]
-        corners = rectangle_corners(poses, observation.size[standing])
-        along = self._path.locate(corners)
-        across = self._path.offset(corners, along)
+        along, across = self._beside_path(
+            rectangle_corners(observation.states[standing, -1, :3], observation.size[standing])
+        )
         first, last = along.min(axis=1), along.max(axis=1)
         # What is being passed is so until the ego is back on its lane.
         way = max(settings.shortest_way, settings.seconds * ego.velocity)
         going = np.isin(observation.ids[standing], list(self._going))
         behind = vehicle.length + np.where(going, way, 0.0)
         near = (last > ego.position - behind) & (first < ego.position + settings.ahead)
-        blocks = near & self._in_the_way(first, last, across)
+        blocks = near.copy()
+        blocks[near] = self._in_the_way(first[near], last[near], across[near])
         if not blocks.any():
             return None
         # Those so close behind each other that the ego cannot go back in between are one.
@@ -175,6 +176,14 @@ class PassingDecision:
                     side=side,
                 )
         return None
+
+    def _beside_path(self, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n, 4) arc lengths and offsets, m, of corners: the last ones, where they are the same."""
+        key = corners.tobytes()
+        if self._stood is None or self._stood[0] != key:
+            along = self._path.locate(corners)
+            self._stood = key, along, self._path.offset(corners, along)
+        return self._stood[1:]
 
     def _in_the_way(self, first: FloatArray, last: FloatArray, across: FloatArray) -> BoolArray:
         """(n,) whether what stands there leaves no room for the ego in its own lane."""

@@ -38,6 +38,24 @@ class Reach:
         self._vehicle = vehicle
         self._dt = task.dt
 
+    def lost(self, step: int, state: FloatArray, position: float) -> list[GoalWindow]:
+        """Goals along the path that cannot be reached from here.
+
+        Args:
+            step: Present step.
+            state: (5 or more) ego state.
+            position: Arc length of its centre on the reference path, m.
+
+        Returns:
+            Their windows.
+        """
+        return [
+            found
+            for goal, found in self._goals
+            if isinstance(found, GoalWindow)
+            and self._why_not(goal, found, step, state, position) is not None
+        ]
+
     def unreachable(self, step: int, state: FloatArray, position: float) -> str | None:
         """Why no goal can be reached from here.
 

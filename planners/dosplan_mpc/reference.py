@@ -101,9 +101,9 @@ def aligned_path(task: PlanningTask, settings: PathSettings) -> LanePath:
         The path.
     """
     path = LanePath(task.route, settings)
-    heading = path.at(path.locate(task.start[:2]))[PATH_HEADING]
+    heading = path.at(np.array(path.locate_first(task.start[:2])))[PATH_HEADING]
     turns = np.round((task.start[EGO_HEADING] - heading) / (2.0 * np.pi))
-    return LanePath(task.route, settings, 2.0 * np.pi * turns)
+    return LanePath(task.route, settings, 2.0 * np.pi * turns) if turns else path
 
 
 _SAME_EDGE: Final = 0.05

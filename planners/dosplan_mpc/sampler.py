@@ -10,6 +10,7 @@ driven as it is.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +35,6 @@ from dosplan_mpc.stage import (
 
 _CLOSEST_TO_CENTRE = 0.2  # Smallest 1 - kappa d: beyond a bend's centre, offsets are undefined.
 _RATED_AT_ONCE = 16  # Candidates whose way on the road is looked at in one go.
-_STEEPEST_RATED = 1.0  # rad; the rating takes larger angles to the path as this.
 _STEEPEST_LED = 0.7  # Slope of a line beside the path from which on it is followed as this.
 _SHARPEST_LED = 0.2  # Second derivative of such a line, 1/m, beyond which it counts as this.
 _LEAST_STEP = 1e-3  # m between two points of such a line.
@@ -161,12 +161,15 @@ class _Led:
 
     def offset_at(self, arclength: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Reference offset and its first two derivatives at (C,) arc lengths."""
+        value, first, second = (np.interp(arclength, self.arclength, row) for row in self._rows)
+        return value, first, second
+
+    @cached_property
+    def _rows(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(N + 1,) the line's offset and its first two derivatives at its points."""
         slope = np.gradient(self.line, self.arclength).clip(-_STEEPEST_LED, _STEEPEST_LED)
         bend = np.gradient(slope, self.arclength).clip(-_SHARPEST_LED, _SHARPEST_LED)
-        value, first, second = (
-            np.interp(arclength, self.arclength, row) for row in (self.line, slope, bend)
-        )
-        return value, first, second
+        return self.line, slope, bend
 
 
 class Sampler:
@@ -364,6 +367,7 @@ class Sampler:
         lateral = vehicle.lateral_acceleration(velocity, turned)
         friction = np.sqrt(np.maximum(self._grip**2 - lateral**2, 0.0))
         fastest = np.minimum(friction, vehicle.engine_acceleration(velocity))
+        fastest = np.minimum(fastest, (vehicle.max_velocity - velocity) / dt)
         rate = vehicle.max_steering_rate
         np.clip((steering - turned) / dt, -rate, rate, out=out[:, STEERING_RATE])
         np.clip((speed - velocity) / dt, -friction, fastest, out=out[:, ACCELERATION])
@@ -453,8 +457,7 @@ class Sampler:
         """(C, N + 1) how far the ego reaches beyond the road's edges or those of a goal, m."""
         heading = self._path.at(candidates.arclength)[..., PATH_HEADING]
         turn = candidates.states[..., EGO_HEADING] - heading
-        slope = np.tan(np.clip(turn, -_STEEPEST_RATED, _STEEPEST_RATED))
-        middle = candidates.offset + self._vehicle.rear_to_centre * slope
+        middle = candidates.offset + self._vehicle.rear_to_centre * np.sin(turn)
         outside = np.maximum(off_road, middle - profile.left)
         return np.asarray(np.maximum(outside, profile.right - middle))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Self
@@ -20,8 +21,9 @@ _GRID = 1.0  # Spacing of the arc lengths at which the speed limit is known, m.
 _SHORTEST_GRID = 60.0  # m
 _FASTEST = 45.0  # m/s; the grid reaches as far as this speed takes the ego in the horizon.
 _BEYOND_GOAL = 5.0  # m of the grid behind a goal's region.
-# Speeds that are tried for a goal, m/s.
+# Speeds that are tried for a goal, m/s; quicker vehicles try more.
 _SPEEDS = np.concatenate([np.linspace(0.05, 12.0, 80), np.linspace(12.25, 45.0, 132)])
+_SPEED_STEP = 0.25  # m/s, of the quicker ones.
 _UNLIMITED = 100.0  # m/s, more than any plan; a number, so that it can be interpolated.
 _SHORTEST_WAY = 0.1  # m; keeps the braking before a line finite.
 _STRAIGHT = 1e-3  # Curvature below which a path limits no speed, 1/m; also a change of steering.
@@ -165,7 +167,7 @@ class SpeedPlanner:
             config: Settings.
             vehicle: The ego.
             path: Reference path.
-            windows: Goals along it; the first that can still be met counts.
+            windows: Goals along it, see ``next_goal``.
             legal: What the map allows along it.
             dt: Step, s.
         """
@@ -176,19 +178,43 @@ class SpeedPlanner:
         self._legal = legal
         self._dt = dt
         self._steps = np.arange(config.horizon + 1)
+        more = np.arange(_SPEEDS[-1] + _SPEED_STEP, vehicle.max_velocity, _SPEED_STEP)
+        self._speeds = np.concatenate([_SPEEDS, more])
 
-    def plan(self, ego: EgoOnPath, traffic: Traffic, stop: float | None = None) -> SpeedProfile:
+    def next_goal(self, ego: EgoOnPath, lost: Container[GoalWindow] = ()) -> GoalWindow | None:
+        """The first goal that is neither over nor passed, nor lost where there is another.
+
+        Args:
+            ego: Where the ego is.
+            lost: Goals that cannot be reached any more.
+
+        Returns:
+            Its window, or None.
+        """
+        # A window's end may be this much short of the region's edge.
+        short = self._config.goal.edge_margin + self._config.goal.spacing
+        left = [w for w in self._windows if w.last_step >= ego.step]
+        left = [w for w in left if w.end + short > ego.position]
+        return next((w for w in left if w not in lost), left[0] if left else None)
+
+    def plan(
+        self,
+        ego: EgoOnPath,
+        traffic: Traffic,
+        window: GoalWindow | None,
+        stop: float | None = None,
+    ) -> SpeedProfile:
         """Speed and offset: for the goal where there is one, with the traffic otherwise.
 
         Args:
             ego: Where the ego is.
             traffic: Speed that is wanted without the goal, and whether a follower is close.
+            window: The goal that counts, or None.
             stop: Arc length at which the ego's centre has to come to stand, m, or None.
 
         Returns:
             The reference.
         """
-        window = self._next_goal(ego)
         limit, target = self._choose_style(window, ego, traffic)
         waiting = (
             window is not None
@@ -199,7 +225,7 @@ class SpeedPlanner:
         stopping = None if stop is None else self._stopping(ego, velocity, stop)
         held = waiting
         if stopping is not None:
-            held = bool(np.any(stopping < velocity))
+            held = waiting or bool(np.any(stopping < velocity))
             velocity = stopping
         arclength = self._stations(ego.position, velocity)
         weight = self._config.station_weight * (self._config.speed.waiting if held else 1.0)
@@ -207,16 +233,37 @@ class SpeedPlanner:
         if window is None:
             profile = _without_goal(velocity, arclength)
             return replace(profile, station_weight=weights) if held else profile
-        right, left, heading, heading_weight = self._at_goal(window, ego.step, arclength)
-        return SpeedProfile(
-            velocity=velocity,
-            arclength=arclength,
+        profile = replace(
+            _without_goal(velocity, arclength),
             station_weight=weights,
             offset=self._offset(window, arclength, max(ego.velocity, target)),
-            right=right,
-            left=left,
+        )
+        return self.beside_goal(profile, window, ego.step)
+
+    def beside_goal(
+        self, profile: SpeedProfile, window: GoalWindow | None, step: int, entry: float = 0.0
+    ) -> SpeedProfile:
+        """The edges and the heading that a goal asks for, where a reference is at its region.
+
+        Args:
+            profile: The reference.
+            window: The goal, or None.
+            step: Present step.
+            entry: Time from now until which the ego is not yet on the goal's lane, s.
+
+        Returns:
+            The reference with those of the goal in place of its own.
+        """
+        if window is None:
+            return profile
+        right, left, heading, weight = self._at_goal(window, step, profile.arclength)
+        there = self._dt * self._steps >= entry
+        return replace(
+            profile,
+            right=np.where(there, right, -np.inf),
+            left=np.where(there, left, np.inf),
             heading=heading,
-            heading_weight=heading_weight,
+            heading_weight=np.where(there, weight, 0.0),
         )
 
     def fastest(self, ego: EgoOnPath) -> float:
@@ -261,26 +308,18 @@ class SpeedPlanner:
             return True, cruise
         if leave <= 0.0:
             return True, 0.0 if opening > 0.0 else cruise
-        elapsed = _elapsed(limit, ego.velocity)
+        speeds = self._speeds
         ahead = limit.arclength - limit.arclength[0]
-        entered, left = (
-            elapsed[:, min(int(np.searchsorted(ahead, way)), len(ahead) - 1)]
-            for way in (enter, leave)
+        first, last = (
+            min(int(np.searchsorted(ahead, way)), len(ahead) - 1) for way in (enter, leave)
         )
+        elapsed = _elapsed(limit, ego.velocity, speeds, last + 1)
+        entered, left = elapsed[:, first], elapsed[:, last]
         in_time = entered <= max(deadline - settings.deadline_reserve, 0.5 * deadline)
         not_early = np.flatnonzero(left >= opening)
-        slowest = float(_SPEEDS[np.argmax(in_time)]) if in_time.any() else float(_SPEEDS[-1])
-        fastest = float(_SPEEDS[not_early[-1]]) if len(not_early) else 0.0
+        slowest = float(speeds[np.argmax(in_time)]) if in_time.any() else float(speeds[-1])
+        fastest = float(speeds[not_early[-1]]) if len(not_early) else 0.0
         return bool(in_time.any()), min(max(cruise, slowest), fastest)
-
-    def _next_goal(self, ego: EgoOnPath) -> GoalWindow | None:
-        """The first goal that is neither over nor passed."""
-        # A window's end may be this much short of the region's edge.
-        short = self._config.goal.edge_margin + self._config.goal.spacing
-        return next(
-            (w for w in self._windows if w.last_step >= ego.step and w.end + short > ego.position),
-            None,
-        )
 
     def _choose_style(
         self, window: GoalWindow | None, ego: EgoOnPath, traffic: Traffic
@@ -451,18 +490,19 @@ def _without_goal(velocity: FloatArray, arclength: FloatArray) -> SpeedProfile:
     )
 
 
-def _elapsed(limit: SpeedLimit, velocity: float) -> FloatArray:
-    """(C, S) times, s, at which the ego is along the limit's grid, for each speed that is tried.
+def _elapsed(limit: SpeedLimit, velocity: float, speeds: FloatArray, count: int) -> FloatArray:
+    """(C, S) times, s, at which the ego is along the limit's grid, for each of (C,) speeds.
 
-    Speed over distance while going from v to c at a constant rate a is ``v^2 +- 2 a s``, up to c.
+    For the first ``count`` places S of the grid. Speed over distance while going from v to c at a
+    constant rate a is ``v^2 +- 2 a s``, up to c.
     """
-    grid, speeds = limit.arclength, _SPEEDS[:, None]
-    middle = np.maximum(grid - grid[0] - 0.5 * (grid[1] - grid[0]), 0.0)
+    grid, speeds = limit.arclength[:count], speeds[:, None]
+    middle = np.maximum(grid - grid[0] - 0.5 * _GRID, 0.0)
     energy = 2.0 * limit.style.longitudinal * middle
     faster = np.minimum(np.sqrt(velocity**2 + energy), speeds)
     slower = np.maximum(np.sqrt(np.maximum(velocity**2 - energy, 0.0)), speeds)
     speed = np.where(speeds > velocity, faster, slower)
     pace = np.diff(grid, prepend=grid[0]) / np.maximum(
-        np.minimum(speed, np.minimum(limit.velocity, limit.legal)), _SPEEDS[0]
+        np.minimum(speed, np.minimum(limit.velocity, limit.legal)[:count]), _SPEEDS[0]
     )
     return np.asarray(np.cumsum(pace, axis=1))

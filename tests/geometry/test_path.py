@@ -70,6 +70,22 @@ def test_more_columns_are_looked_up_as_well() -> None:
     )
 
 
+def test_on_a_ring_the_first_lap_counts() -> None:
+    ring = EvenPath.of(arc_route(RADIUS, length=2.4 * 2.0 * math.pi * RADIUS))
+    lap = 2.0 * math.pi * RADIUS
+    # By rounding alone the second lap is nearer to some of these.
+    for angle in np.linspace(0.1, 6.0, 40):
+        for offset in (-2.0, 0.0, 2.0):
+            found = ring.locate_first(beside_arc(angle, offset))
+            assert found == pytest.approx(RADIUS * angle, abs=0.05)
+    assert any(float(ring.locate(beside_arc(a, 0.0))) > lap - 1.0 for a in np.linspace(0.1, 2, 40))
+    # A path that comes by once is located as ever.
+    even = EvenPath.of(ARC)
+    for s in np.linspace(0.0, 99.0, 23):
+        point = beside_arc(s / RADIUS, 1.0)
+        assert even.locate_first(point) == float(even.locate(point))
+
+
 def test_arc_lengths_are_those_the_path_was_given() -> None:
     route = straight_route()  # From x = -20 m on.
     shifted = ReferencePath(route.arclength - 7.0, route.path, route.heading, route.curvature)

@@ -11,6 +11,7 @@ import shapely
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solveh_banded
 
+from dosplan.geometry import side_by_side
 from dosplan.types import FloatArray, Lanelet
 
 SPACING: Final = 0.5
@@ -175,7 +176,7 @@ def _with_lane_changes(
     driven = 0
     for i, (run, following) in enumerate(pairwise(runs)):
         driven += len(run)
-        shared = _shared(run, following, lanelets)
+        shared, _ = side_by_side(run, following, lanelets)
         line = _joined([line, *(a for a, _ in shared if a not in run)])
         end = _length(line)
         begin = max(end - sum(_length(a.centre) for a, _ in shared), free_from)
@@ -201,31 +202,6 @@ def _change(u: FloatArray) -> FloatArray:
     Its first and second derivatives vanish at both ends.
     """
     return np.asarray(u**3 * (10.0 - 15.0 * u + 6.0 * u**2))
-
-
-def _neighbour(lanelet: Lanelet, side: str, lanelets: Mapping[int, Lanelet]) -> Lanelet | None:
-    name = getattr(lanelet, side)  # Zero is an id, too.
-    return None if name is None else lanelets.get(name)
-
-
-def _shared(
-    run: list[Lanelet], following: list[Lanelet], lanelets: Mapping[int, Lanelet]
-) -> list[tuple[Lanelet, Lanelet]]:
-    """Pairs of lanelets side by side around a change of lane, in driving order."""
-    side = "left_neighbour" if run[-1].left_neighbour == following[0].id else "right_neighbour"
-    other = "right_neighbour" if side == "left_neighbour" else "left_neighbour"
-    pairs = [(run[-1], following[0])]
-    for lanelet in run[-2::-1]:
-        beside = _neighbour(lanelet, side, lanelets)
-        if beside is None or pairs[0][1].id not in beside.successors:
-            break
-        pairs.insert(0, (lanelet, beside))
-    for lanelet in following[1:]:
-        beside = _neighbour(lanelet, other, lanelets)
-        if beside is None or beside.id not in pairs[-1][0].successors:
-            break
-        pairs.append((beside, lanelet))
-    return pairs
 
 
 def _before(first: Lanelet, lanelets: Mapping[int, Lanelet], centre: FloatArray) -> list[Lanelet]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dosplan_baseline.brake import BrakePlanner
+from dosplan_baseline.brake import BrakePlanner, BrakeSettings
 from dosplan_baseline.cruise import CruisePlanner
 from dosplan_baseline.idm import (
     IdmEpisode,
@@ -283,6 +283,36 @@ def test_idm_desires_the_speed_that_the_goal_asks_for(
     seen = World(scenario, first_step=0, history=5).observation()
     found = IdmEpisode(IDM, scenario.task, VEHICLE).desired_velocity(seen)
     assert found == pytest.approx(expected, abs=1e-3)
+
+
+def test_idm_goes_to_the_goal_that_it_can_reach() -> None:
+    far, near = (
+        GoalState(0, 50, box(280.0, -2.0, 290.0, 2.0)),
+        GoalState(0, 50, box(15.0, -2.0, 25.0, 2.0)),
+    )
+    aside = GoalState(0, 50, box(15.0, 60.0, 25.0, 70.0))
+    for goals in ([far, near], [near, far], [aside, near]):
+        scenario = straight_scenario(goals=goals)
+        seen = World(scenario, first_step=0, history=5).observation()
+        episode = IdmEpisode(IDM, scenario.task, VEHICLE)
+        assert episode.needed_velocity(seen) == pytest.approx((17.0 - 1.4227) / 5.0, abs=1e-3)
+
+
+def test_idm_takes_any_exponent_at_a_stop() -> None:
+    # Rounding leaves a little below zero when the vehicle has braked to a stop.
+    found = idm_acceleration(-1e-16, 10.0, np.zeros(0), np.zeros(0), IdmSettings(exponent=3.5))
+    assert found == pytest.approx(IDM.acceleration)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_numbers_that_are_none_are_refused(value: float) -> None:
+    for make in (
+        lambda: IdmSettings(time_gap=value),
+        lambda: IdmSettings(acceleration=value),
+        lambda: BrakeSettings(deceleration=value),
+    ):
+        with pytest.raises(ValueError, match="and finite"):
+            make()
 
 
 @pytest.mark.parametrize("planner", [IdmPlanner(), BrakePlanner(), CruisePlanner()])

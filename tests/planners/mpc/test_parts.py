@@ -8,6 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+import shapely
+from dosplan_mpc.arrival import Arrivals
 from dosplan_mpc.config import MpcConfig, SamplerSettings, SetSettings, SpeedSettings
 from dosplan_mpc.goal_window import GoalWindow, locate_goal
 from dosplan_mpc.nlp import Guess, MpcProblem, Solution, problem, stage_steps
@@ -33,7 +35,7 @@ from dosplan_mpc.stage import StageParameters, stage_size, unpack_stage
 from dosplan_mpc.traffic import Lane, Traffic
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely.geometry import Polygon, box
+from shapely.geometry import Point, Polygon, box
 
 from dosplan.geometry import PATH_CURVATURE, PATH_HEADING, EvenPath, rectangle_corners
 from dosplan.scenario.synthetic import steady_tracks, straight_route, straight_scenario
@@ -83,6 +85,11 @@ def speed_planner(
     return SpeedPlanner(config, VEHICLE, path, windows, legal, DT)
 
 
+def planned(planner: SpeedPlanner, ego: EgoOnPath, traffic: Traffic) -> SpeedProfile:
+    """The reference for the next goal."""
+    return planner.plan(ego, traffic, planner.next_goal(ego))
+
+
 def road_along(path: EvenPath) -> Road:
     """A road of 5 m to both sides of the path along +x."""
     low, high = path.points.min(axis=0) - 5.0, path.points.max(axis=0) + 5.0
@@ -92,7 +99,7 @@ def road_along(path: EvenPath) -> Road:
 
 def free_profile(path: EvenPath) -> SpeedProfile:
     """The reference of an ego that drives at 10 m/s and meets nobody."""
-    return speed_planner(path).plan(at(20.0, 10.0), FREE)
+    return planned(speed_planner(path), at(20.0, 10.0), FREE)
 
 
 def the_set(occupancy: Occupancy, radius: float, penalty: FloatArray = PENALTY) -> ForbiddenSets:
@@ -304,7 +311,7 @@ def test_a_goal_that_the_path_misses_by_a_turn_has_a_slower_reference_from_the_o
     (window,) = goals_of(task, path)
     assert window.turn == pytest.approx(0.5)
     planner = SpeedPlanner(CONFIG, VEHICLE, path, (window,), LegalSpeed.of(task.route, 1.0), DT)
-    profile = planner.plan(at(window.begin - 8.0, 6.0), replace(FREE, cruise=6.0))
+    profile = planned(planner, at(window.begin - 8.0, 6.0), replace(FREE, cruise=6.0))
     inside = profile.heading_weight > 0.0
     assert inside.any()
     assert profile.velocity[inside].max() < 4.5
@@ -345,7 +352,7 @@ def test_cruise_meets_the_window(
 
 def test_profile_slows_down_for_a_curve() -> None:
     path = path_of(circle_route(10.0, turn=6.0))
-    profile = speed_planner(path).plan(at(1.0, 12.0), replace(FREE, cruise=12.0))
+    profile = planned(speed_planner(path), at(1.0, 12.0), replace(FREE, cruise=12.0))
     # sqrt(4 m/s2 * 10 m) = 6.3 m/s
     assert profile.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
     assert np.all(profile.velocity >= 0.0)
@@ -367,7 +374,7 @@ def test_a_curve_is_taken_no_faster_than_the_wheels_turn() -> None:
 def test_who_is_pressed_takes_a_curve_faster() -> None:
     path = path_of(circle_route(10.0, turn=6.0))
     calm, pressed = (
-        speed_planner(path).plan(at(1.0, 12.0), replace(FREE, pressed=p)) for p in (False, True)
+        planned(speed_planner(path), at(1.0, 12.0), replace(FREE, pressed=p)) for p in (False, True)
     )
     # sqrt(7 m/s2 * 10 m) = 8.4 m/s against 6.3 m/s
     assert calm.velocity[-1] == pytest.approx(np.sqrt(40.0), abs=0.1)
@@ -381,13 +388,86 @@ def test_inside_a_goal_that_opens_later_the_ego_waits() -> None:
     # The region ends at 22 m of path; the last metre is kept as a reserve.
     # Up to the edge itself, which the window with its margins falls short of, it is not too late.
     for position in (21.2, 21.9):
-        profile = planner.plan(at(position, 2.0), FREE)
+        profile = planned(planner, at(position, 2.0), FREE)
         assert profile.velocity[-1] == 0.0
         assert profile.station_weight[0] > MpcConfig().station_weight
-    missed = planner.plan(at(23.0, 2.0), FREE)
+    missed = planned(planner, at(23.0, 2.0), FREE)
     assert missed.velocity[-1] > 2.0
-    late = planner.plan(at(21.2, 4.0, step=101), FREE)
+    late = planned(planner, at(21.2, 4.0, step=101), FREE)
     assert late.velocity[-1] == pytest.approx(FREE.cruise)
+
+
+def test_a_goal_that_cannot_be_reached_gives_way_to_the_next_one() -> None:
+    far = GoalState(0, 50, box(260.0, -1.0, 280.0, 1.0))
+    near = GoalState(0, 50, box(20.0, -1.0, 30.0, 1.0), velocity=(0.0, 12.0))
+    path = path_of(goal_task(near).route)
+    first, second = (goals_of(goal_task(goal), path)[0] for goal in (far, near))
+    planner = speed_planner(path, first, second)
+    ego = at(20.0, 10.0)
+    assert planner.next_goal(ego, [first]) is second
+    assert planner.next_goal(ego) is first
+    # Where none is left, the first one is still driven to.
+    assert planner.next_goal(ego, [first, second]) is first
+
+
+def test_a_line_that_does_not_bind_lets_the_ego_wait_in_its_goal() -> None:
+    task = goal_task(GoalState(100, 100, box(-10.0, -1.0, 2.0, 1.0)))
+    path = path_of(task.route)
+    planner, ego = speed_planner(path, *goals_of(task, path)), at(21.2, 0.0)
+    window = planner.next_goal(ego)
+    alone, before_a_line = (planner.plan(ego, FREE, window, stop) for stop in (None, 45.0))
+    np.testing.assert_array_equal(before_a_line.station_weight, alone.station_weight)
+
+
+def test_who_is_quicker_than_most_is_not_slowed_down_by_a_goal() -> None:
+    task = goal_task(GoalState(30, 60, box(100.0, -2.0, 180.0, 2.0)))
+    path = path_of(task.route)
+    quick = replace(FREE, cruise=48.0)
+    profile = planned(speed_planner(path, *goals_of(task, path)), at(20.0, 48.0), quick)
+    assert profile.velocity.min() > 47.5
+
+
+def test_before_a_gap_is_beside_the_ego_its_goal_asks_for_no_edge() -> None:
+    task = goal_task(GoalState(0, 60, box(0.0, 1.0, 60.0, 4.0), heading=(-0.1, 0.1)))
+    path = path_of(task.route)
+    planner = speed_planner(path, *goals_of(task, path))
+    ego = at(25.0, 8.0)
+    window = planner.next_goal(ego)
+    profile = planner.plan(ego, FREE, window)
+    assert np.all(np.isfinite(profile.right))
+    led = planner.beside_goal(profile, window, 0, entry=1.05)
+    assert np.all(led.right[:11] == -np.inf)
+    assert np.all(led.left[:11] == np.inf)
+    assert not led.heading_weight[:11].any()
+    np.testing.assert_array_equal(led.right[11:], profile.right[11:])
+    elsewhere = replace(profile, arclength=profile.arclength + 200.0)
+    assert np.all(planner.beside_goal(elsewhere, window, 0).right == -np.inf)
+
+
+@pytest.mark.parametrize("length", [0.42, 0.5, 0.6])
+@pytest.mark.parametrize("x", [40.0, 40.1, 40.2])
+def test_a_region_that_is_smaller_than_the_search_is_found(length: float, x: float) -> None:
+    task = goal_task(GoalState(0, 60, box(x, -1.0, x + length, 1.0)))
+    (window,) = goals_of(task, path_of(task.route))
+    assert 20.0 + x <= window.begin <= window.end <= 20.0 + x + length
+
+
+def test_a_region_between_which_the_path_turns_away_is_two() -> None:
+    """A ring that is driven twice: its headings come again, far behind."""
+    path = path_of(circle_route(20.0, turn=11.0))
+    goal = GoalState(0, 90, Point(0.0, 20.0).buffer(25.0), heading=(1.0, 1.2))
+    found = locate_goal(goal, path, CONFIG.goal)
+    assert isinstance(found, GoalWindow)
+    turned = path.heading_at(np.array([found.begin, found.end]))
+    assert np.ptp(turned) < 2.0 * CONFIG.goal.turn + 0.25
+
+
+def test_the_least_of_options_are_still_settings() -> None:
+    goal = GoalState(0, 60, box(40.0, -1.0, 60.0, 1.0))
+    settings = replace(CONFIG.goal, common_share=1.0)
+    assert isinstance(locate_goal(goal, path_of(straight_route(200.0)), settings), GoalWindow)
+    with pytest.raises(ValueError, match="slots is 0, expected more"):
+        MpcConfig(slots=0)
 
 
 def test_a_goal_ends_where_the_ego_has_to_stop() -> None:
@@ -404,7 +484,7 @@ def test_heading_of_a_goal_is_on_the_turn_of_the_path(lap: float) -> None:
     path = path_of(task.route)
     (window,) = goals_of(task, path)
     assert window.heading == pytest.approx((0.1, 0.3))
-    profile = speed_planner(path, window).plan(at(25.0, 5.0), FREE)
+    profile = planned(speed_planner(path, window), at(25.0, 5.0), FREE)
     # The path's own heading, 0, is 0.1 rad off: 0.06 rad within the window are asked for.
     np.testing.assert_allclose(profile.heading[:5], 0.16)
     assert np.all(profile.heading_weight[:5] > 0.0)
@@ -798,3 +878,61 @@ def test_nan_is_a_status_not_an_exception(mpc: MpcProblem) -> None:
     solution = solved(mpc, np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0]), stages, guess)
     assert not solution.usable
     assert solution.status is SolveStatus.SOLVER_ERROR
+
+
+def test_no_candidate_is_quicker_than_the_vehicle() -> None:
+    path = path_of(straight_route(600.0))
+    sampler = Sampler(CONFIG, VEHICLE, path, road_along(path), DT)
+    start = np.array([0.0, 0.0, 0.0, 50.0, 0.0, 0.0])
+    ego = EgoOnPath(0, 20.0, 0.0, 21.42, 50.0)
+    profile = speed_planner(path).plan(ego, replace(FREE, cruise=60.0), None)
+    found = sampler.sample(start, ego, profile).states[..., 3]
+    assert found.max() > 50.5
+    assert found.max() <= VEHICLE.max_velocity + 1e-9
+
+
+def test_a_candidate_is_rated_where_its_centre_is() -> None:
+    """An ego that is turned by 0.8 rad, with its centre just inside the edges of a goal."""
+    path = path_of(straight_route())
+    sampler, profile = Sampler(CONFIG, VEHICLE, path, road_along(path), DT), free_profile(path)
+    start = np.array([0.0, 0.0, 0.0, 0.0, 0.8, 0.0])
+    ego = EgoOnPath(0, 20.0, 0.0, 21.42, 0.0)
+    standing = sampler.at_speed(start, ego, profile, np.zeros(31)).some(np.array([0]))
+    aside = VEHICLE.rear_to_centre * np.sin(0.8)
+
+    def cost(left: float) -> float:
+        edged = replace(profile, left=np.full(31, left))
+        return float(sampler.rate(standing, nothing_forbidden(), edged)[0])
+
+    assert cost(aside + 0.01) == cost(np.inf)
+    assert cost(aside - 0.01) > cost(np.inf)
+
+
+@pytest.mark.parametrize("passed", [1, 2, 4])
+def test_an_arrival_that_was_begun_goes_on_after_any_number_of_steps(passed: int) -> None:
+    goal = GoalState(18, 20, box(8.0, 0.5, 14.0, 4.0), heading=(0.3, 0.5))
+    task = straight_scenario(goals=[goal], velocity=6.0, final_step=20).task
+    path = path_of(task.route)
+    sampler = Sampler(CONFIG, VEHICLE, path, road_along(path), DT)
+    road = box(-50.0, -10.0, 50.0, 10.0)
+    shapely.prepare(road)
+    arrivals = Arrivals(CONFIG.arrival, task, [], road, VEHICLE, sampler)
+    start = np.append(task.start, 0.0)
+    straight_on = np.tile(start, (31, 1))
+    sets = nothing_forbidden()
+    first = arrivals.instead(straight_on, 0, start, sets, np.inf)
+    assert first is not None
+    now = first.states[passed]
+    later = arrivals.instead(np.tile(now, (31, 1)), passed, now, sets, np.inf)
+    assert later is not None
+    until = 20 - passed
+    np.testing.assert_allclose(later.states[:until], first.states[passed : passed + until])
+
+
+def nothing_forbidden() -> ForbiddenSets:
+    return ForbiddenSets(
+        ids=np.empty(0, dtype=np.int64),
+        centre=np.empty((0, 30, 2)),
+        matrix=np.empty((0, 30, 2, 2)),
+        penalty=np.empty((0, 30)),
+    )

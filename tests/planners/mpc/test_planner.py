@@ -281,6 +281,16 @@ def test_a_turned_goal_is_driven_into_while_there_is_time(
     assert row.outcome is Outcome.SUCCESS, row
 
 
+@pytest.mark.parametrize("wanted", [(14.0, 15.0), (4.0, 5.0)])
+def test_a_goal_without_a_place_still_has_its_velocity(wanted: tuple[float, float]) -> None:
+    goal = GoalState(60, 80, velocity=wanted)
+    scenario = straight_scenario(velocity=10.0, goals=[goal], final_step=80)
+    episode = run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), Arm.WITH_DOS)
+    assert score(scenario, episode).outcome is Outcome.SUCCESS
+    # It is met on the way, not in a last moment's braking or hurry.
+    assert np.abs(np.diff(episode.states[:, 3])).max() < 0.4
+
+
 def test_a_goal_that_is_out_of_reach_is_said_so(tmp_path: Path) -> None:
     region = scenes.rectangle(5.0, 3.0, 40.0, 0.0)
     turned = scenes.Goal(0, 20, position=region, heading=(2.9, 3.1))

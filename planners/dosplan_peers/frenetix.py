@@ -1,4 +1,4 @@
-"""``frenetix-v2``: Frenetix, a sampling planner in a Frenet frame with a core in C++.
+"""``frenetix-v3``: Frenetix, a sampling planner in a Frenet frame with a core in C++.
 
 Trauth, Moller, Wuersching, Betz, "FRENETIX: A High-Performance and Modular Motion Planning
 Framework for Autonomous Driving", IEEE Access 12, 2024.
@@ -43,6 +43,7 @@ from dosplan_peers import INSTALL
 from dosplan_peers.peer import Peer, Stop, Trajectory
 from dosplan_peers.world import (
     commonroad_scenario,
+    goal_on_way,
     moving_rectangles,
     reference_path,
     swept,
@@ -93,7 +94,7 @@ _DURATION, _END_VELOCITY, _END_OFFSET = 1, 5, 10
 class FrenetixPlanner(Peer):
     """Frenetix."""
 
-    name = "frenetix-v2"
+    name = "frenetix-v3"
     delay = 2.0
     look_ahead = plan_steps = round(HORIZON / STEP_SECONDS)
 
@@ -106,7 +107,7 @@ class FrenetixPlanner(Peer):
             vehicle: The ego's parameters.
         """
         path = reference_path(task.route)
-        self._goal = task.goals[0]
+        self._goal = goal_on_way(task)
         self._line = LineString(path)
         self._frame = frenetix.CoordinateSystemWrapper(path)
         _, self._road = create_road_boundary_obstacle(
@@ -221,17 +222,13 @@ class FrenetixPlanner(Peer):
         """The velocity that reaches the middle of the goal in the middle of its time."""
         goal, velocity = self._goal, float(observation.ego[EGO_VELOCITY])
         centre = self._vehicle.centre(observation.ego)
-        if goal.region is None:
-            return velocity
-        if goal.region.contains(Point(centre)):
+        if goal.region is None or goal.region.contains(Point(centre)):
             return _near(_goal_velocity(goal, velocity), velocity)
         middle = (goal.first_step + goal.last_step) // 2
         time = (middle - observation.step) * observation.dt
         if time <= 0.0:
             return _near(_goal_velocity(goal, velocity), velocity)
-        way = self._line.project(goal.region.centroid) - self._line.project(
-            Point(observation.ego[:2])
-        )
+        way = self._line.project(goal.region.centroid) - self._line.project(Point(centre))
         return _near(way / time, velocity)
 
     def _is_free(self, sample: Any, step: int, obstacles: list[Any]) -> bool:

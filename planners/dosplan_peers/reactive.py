@@ -1,4 +1,4 @@
-"""``reactive-v2``: CommonRoad's reactive planner, a sampling planner in a Frenet frame.
+"""``reactive-v3``: CommonRoad's reactive planner, a sampling planner in a Frenet frame.
 
 Wuersching, Pek et al., https://github.com/CommonRoad/commonroad-reactive-planner, after Werling
 et al., "Optimal trajectory generation for dynamic street scenarios in a Frenet frame", ICRA 2010.
@@ -32,7 +32,13 @@ from dosplan.types import (
 from dosplan.vehicle import VehicleParameters
 from dosplan_peers import INSTALL
 from dosplan_peers.peer import Peer, PeerSettings, Stop, Trajectory
-from dosplan_peers.world import commonroad_scenario, moving_rectangles, reference_path, wall
+from dosplan_peers.world import (
+    commonroad_scenario,
+    goal_on_way,
+    moving_rectangles,
+    reference_path,
+    wall,
+)
 
 try:
     from commonroad.common.util import Interval
@@ -70,7 +76,7 @@ class ReactiveSettings(PeerSettings):
 class CommonRoadReactivePlanner(Peer):
     """CommonRoad's reactive planner."""
 
-    name = "reactive-v2"
+    name = "reactive-v3"
     settings = ReactiveSettings
     delay = 0.5
 
@@ -196,8 +202,8 @@ def _vehicle(vehicle: VehicleParameters) -> rp.VehicleConfiguration:
 
 
 def _problem(task: PlanningTask, vehicle: VehicleParameters) -> PlanningProblem:
-    """What the planner reads of a planning problem: the start and the first goal's velocity."""
-    goal = task.goals[0]
+    """What the planner reads of a planning problem: the start and the goal's velocity."""
+    goal = goal_on_way(task)
     wanted = {"time_step": Interval(goal.first_step, goal.last_step)}
     if goal.velocity is not None:
         wanted["velocity"] = Interval(*goal.velocity)

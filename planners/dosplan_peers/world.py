@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
+from shapely.geometry import LineString
 
 from dosplan.geometry import set_sizes
-from dosplan.types import FloatArray, Occupancy, RoadMap, Route
+from dosplan.types import FloatArray, GoalState, Occupancy, PlanningTask, RoadMap, Route
 from dosplan_peers import INSTALL
 from dosplan_peers.peer import WALL, Stop
 
@@ -25,7 +26,7 @@ _EXTENSION: Final = 30.0  # m of straight path added at either end, as Frenetix'
 
 
 def commonroad_scenario(road_map: RoadMap, dt: float) -> Scenario:
-    """The map alone as a CommonRoad scenario.
+    """The road alone as a CommonRoad scenario: footways and the like are off the road here, too.
 
     Args:
         road_map: The map.
@@ -35,10 +36,25 @@ def commonroad_scenario(road_map: RoadMap, dt: float) -> Scenario:
         A scenario without obstacles.
     """
     scenario = Scenario(dt)
-    for lanelet in road_map.lanelets:
+    for lanelet in (lanelet for lanelet in road_map.lanelets if lanelet.is_road):
         bounds = (np.array(line) for line in (lanelet.left, lanelet.centre, lanelet.right))
         scenario.add_objects(Lanelet(*bounds, lanelet.id))
     return scenario
+
+
+def goal_on_way(task: PlanningTask) -> GoalState:
+    """The goal that a planner of a single one drives to.
+
+    Args:
+        task: Start, goals and route.
+
+    Returns:
+        The first goal whose region the route's path comes by, or that has none; the first of all
+        where it comes by none.
+    """
+    path = LineString(task.route.path)
+    on_way = (goal for goal in task.goals if goal.region is None or path.intersects(goal.region))
+    return next(on_way, task.goals[0])
 
 
 def reference_path(route: Route) -> FloatArray:

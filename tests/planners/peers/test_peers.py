@@ -47,6 +47,7 @@ if find_spec("commonroad_dc") is None:
 from dosplan_peers.peer import BRAKING, Peer, PeerSettings, Stop, Trajectory, follow
 from dosplan_peers.world import (
     commonroad_scenario,
+    goal_on_way,
     moving_rectangles,
     reference_path,
     swept,
@@ -118,6 +119,33 @@ def test_the_road_has_edges_and_no_others(method: str) -> None:
         assert edge.collide(pycrcc.RectOBB(2.0, 0.9, 0.0, 50.0, y)) is hits
     for y in (low + 0.8, high - 0.8):
         assert edge.collide(pycrcc.RectOBB(2.0, 0.9, 0.0, 50.0, y))
+
+
+def test_a_footway_is_no_road_for_a_peer() -> None:
+    road_map = straight_map()
+    lane = road_map.lanelets[0]
+    beside = np.array([0.0, 20.0])
+    footway = replace(
+        lane, id=99, left=lane.left + beside, right=lane.right + beside, is_road=False
+    )
+    scenario = commonroad_scenario(replace(road_map, lanelets=(*road_map.lanelets, footway)), 0.1)
+    names = {lanelet.lanelet_id for lanelet in scenario.lanelet_network.lanelets}
+    assert names == {lanelet.id for lanelet in road_map.lanelets}
+
+
+def test_the_goal_is_the_one_that_the_route_comes_by() -> None:
+    aside, ahead, anywhere = (
+        GoalState(0, 50, box(20.0, 40.0, 30.0, 50.0)),
+        GoalState(0, 50, box(20.0, -1.0, 30.0, 1.0)),
+        GoalState(0, 50),
+    )
+    for goals, wanted in (
+        ([aside, ahead], ahead),
+        ([anywhere, ahead], anywhere),
+        ([ahead, aside], ahead),
+        ([aside], aside),
+    ):
+        assert goal_on_way(straight_scenario(goals=goals).task) == wanted
 
 
 def test_the_path_goes_on_straight_at_both_ends() -> None:

@@ -7,6 +7,7 @@ WORKERS ?= $(shell $(PYTHON) -c "import os; print(os.cpu_count() or 1)")
 # How many of the recorded futures of each scenario; the suite has five.
 FUTURES ?= 2
 RUN_ARGS ?=
+TORCH_ARGS ?=
 BENCH_ARGS ?=
 PEERS_ARGS ?=
 DIST ?= dist
@@ -64,10 +65,10 @@ clean:
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
-# torch comes first and by itself: as a dependency of something else it would be another build of
-# several gigabytes.
+# torch comes first and by itself, from where TORCH_ARGS says: the package index's build for Linux
+# brings several gigabytes of CUDA, which dosplan has no use for.
 $(VENV)/.run: $(BIN)/python pyproject.toml constraints.txt
-	$(PIP) torch
+	$(PIP) $(TORCH_ARGS) torch
 	$(PIP) --editable .
 	touch $@
 

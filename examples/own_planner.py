@@ -25,8 +25,8 @@ class Coast(Planner):
 
 
 if __name__ == "__main__":
-    idm = dosplan.run_suite("suite", "idm", "growing-circle", limit=2, out="runs/idm")
-    coast = dosplan.run_suite("suite", Coast, "growing-circle", limit=2, out="runs/coast")
+    idm = dosplan.run_suite("suite", "idm", "growing-circle", limit=2, out="runs/example-idm")
+    coast = dosplan.run_suite("suite", Coast, "growing-circle", limit=2, out="runs/example-coast")
     for row in coast.rows:
         print(f"{row.scenario:24} {row.arm:12} {row.outcome:14} {row.velocity:5.1f} m/s")
     for c in dosplan.compare(idm, coast):

@@ -1,4 +1,4 @@
-"""``dos-v4``: dynamic occupancy sets around the trajectories of any predictor."""
+"""``dos-v5``: dynamic occupancy sets around the trajectories of any predictor."""
 
 from __future__ import annotations
 

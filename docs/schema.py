@@ -56,10 +56,10 @@ Made from the table in `dosplan/scoring/metrics.py` by `python docs/schema.py`.
 
 Each episode has a value or none. The values of an arm become one figure: a share (from 0 to 1), a
 mean or the largest value (in files a fraction, too, where its unit is %), over the episodes that
-have a value. An episode that crashed is an episode like any other, so the denominator of an outcome's share is the number of episodes, which is
-scenarios times futures, of what is usable. A scenario that nobody could drive has no value in any
-metric: it is counted in `n`, not in `usable`, and listed in `summary.json`. Nor has an episode in
-which the traffic raised before anything else had happened (outcome `traffic_failure`): no planner
+have a value. An episode that crashed is an episode like any other, so the denominator of an
+outcome's share is the number of episodes, which is scenarios times futures, of what is usable.
+A scenario that nobody could drive has no value in any metric: it is counted in `n`, not in
+`usable`, and listed in `summary.json`. Nor has an episode in which the traffic raised before anything else had happened (outcome `traffic_failure`): no planner
 is judged by it. What a predictor raises counts as the planner's, and so does a process that dies,
 as nobody can tell whose fault that is. Percentiles of cycle
 times are over the planning cycles of all episodes pooled.

@@ -10,7 +10,7 @@ import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SHOWN = {
-    "own_planner": "runs/coast:with_dos against runs/idm:with_dos: success",
+    "own_planner": "runs/example-coast:with_dos against runs/example-idm:with_dos: success",
     "own_predictor": "widest set 0.0 m",  # In the arm without sets.
     "own_scenarios": "runs/busy/solutions/ZAM_",
     "coverage_ablation": "    0.90  ",

@@ -35,7 +35,7 @@ def test_the_proof_is_told_as_it_was_judged() -> None:
     for cell in cells:
         if cell["traffic"] != "replay":
             continue
-        scenarios = "fresh" if cell["scenarios"] == "fresh" else "recordings"
+        scenarios = "fresh" if cell["scenarios"] == "fresh" else "public"
         (row,) = (
             line
             for line in text.splitlines()

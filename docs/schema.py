@@ -59,10 +59,10 @@ mean or the largest value (in files a fraction, too, where its unit is %), over 
 have a value. An episode that crashed is an episode like any other, so the denominator of an
 outcome's share is the number of episodes, which is scenarios times futures, of what is usable.
 A scenario that nobody could drive has no value in any metric: it is counted in `n`, not in
-`usable`, and listed in `summary.json`. Nor has an episode in which the traffic raised before anything else had happened (outcome `traffic_failure`): no planner
-is judged by it. What a predictor raises counts as the planner's, and so does a process that dies,
-as nobody can tell whose fault that is. Percentiles of cycle
-times are over the planning cycles of all episodes pooled.
+`usable`, and listed in `summary.json`. Nor has an episode in which the traffic raised before
+anything else had happened (outcome `traffic_failure`): no planner is judged by it. What a predictor
+raises counts as the planner's, and so does a process that dies, as nobody can tell whose fault that
+is. Percentiles of cycle times are over the planning cycles of all episodes pooled.
 
 *Key* is the figure's key in `summary.json`; *name*, where it differs, its key in a comparison.
 

@@ -20,7 +20,7 @@ run: $(VENV)/.run
 	$(BIN)/dosplan run --workers $(WORKERS) --futures $(FUTURES) $(RUN_ARGS)
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow" --cov --cov-report=term:skip-covered --cov-fail-under=90
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) -m "not slow" --cov --cov-report=term:skip-covered --cov-fail-under=95
 
 test-all: $(VENV)/.dev
 	$(PIP) --editable ".[suite]"

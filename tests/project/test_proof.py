@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,3 +104,13 @@ def test_the_sweep_drives_the_cells_of_the_hypotheses() -> None:
     late = [r.settings for r in runs if r.values["loop"] == "late"]
     assert all(dict(settings.loop_options) == {"latency": 0.3} for settings in late)
     assert all(settings.arms == tuple(Arm) for settings in late)
+
+
+def test_the_judgement_follows_from_the_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published = proof.HERE
+    monkeypatch.setattr(proof, "HERE", tmp_path)
+    proof.write_judgement(published / "runs")
+    for name in ("proof.json", "proof.md"):
+        assert (tmp_path / name).read_text("utf-8") == (published / name).read_text("utf-8")

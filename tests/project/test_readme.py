@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import pytest
@@ -42,9 +41,7 @@ def test_the_proof_is_told_as_it_was_judged() -> None:
             if line.startswith((f"| {scenarios}, ", f"| **{scenarios}, "))
             and f"{cell['loop']}" in line
         )
-        assert {cell["without"], cell["with_sets"], cell["n"]} <= set(
-            map(int, re.findall(r"(?<![\d.])\d+(?![\d.])", row))
-        )
+        assert f"| {cell['without']} → {cell['with_sets']} of {cell['n']} " in row
         assert f"{100 * cell['success']['a']:.1f} → {100 * cell['success']['b']:.1f}" in row
 
 

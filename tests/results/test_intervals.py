@@ -14,8 +14,6 @@ from dosplan.scoring.metrics import find_metric
 from dosplan.scoring.score import failed_score
 from dosplan.types import Arm, EpisodeKey, FloatArray, Outcome
 
-RNG = np.random.default_rng(1)
-
 
 def _each(n: int) -> list[str]:
     return [f"s{i}" for i in range(n)]
@@ -46,7 +44,8 @@ def test_none_of_n_is_bounded() -> None:
 
 
 def test_means_of_single_places_have_the_t_interval() -> None:
-    values = RNG.normal(3.0, 1.0, 20)
+    rng = np.random.default_rng(1)
+    values = rng.normal(3.0, 1.0, 20)
     oracle = ttest_1samp(values, 0.0).confidence_interval()
     expected = (values.mean(), oracle.low, oracle.high)
     assert mean_interval(values, _each(20)) == pytest.approx(expected)
@@ -57,7 +56,8 @@ def test_means_of_single_places_have_the_t_interval() -> None:
 
 
 def test_copies_at_the_same_places_tell_no_more() -> None:
-    values, verdicts = RNG.normal(3.0, 1.0, 20), _verdicts(8, 20)
+    rng = np.random.default_rng(1)
+    values, verdicts = rng.normal(3.0, 1.0, 20), _verdicts(8, 20)
     places = _each(20) * 3
     assert mean_interval(np.tile(values, 3), places) == pytest.approx(
         mean_interval(values, _each(20))

@@ -21,7 +21,6 @@ from dosplan.results.paired import (
 )
 from dosplan.types import FloatArray
 
-RNG = np.random.default_rng(0)
 # Scenarios of each place in the published run on recorded scenarios: 39 places, 150 scenarios.
 SIZES = [20, 14, 12, 11, 11, 9, 6, 5, 5, 4, 4] + [3] * 6 + [2] * 9 + [1] * 13
 RECORDED = [f"p{place}" for place, size in enumerate(SIZES) for _ in range(size)]
@@ -160,11 +159,12 @@ def test_what_differs_at_one_place_tells_less_than_at_many() -> None:
 
 
 def test_one_place_alone_is_taken_as_independent_scenarios() -> None:
+    rng = np.random.default_rng(0)
     a, b = _sides(30, 1, 4)
     found = share_difference(a, b, ["p"] * 30)
     assert (found.low, found.high) == pytest.approx(tango_interval(4, 1, 30))
     assert found.places == 1
-    values = RNG.normal(size=30)
+    values = rng.normal(size=30)
     mean = mean_difference(np.zeros(30), values, ["p"] * 30)
     assert mean.p == pytest.approx(ttest_rel(values, np.zeros(30)).pvalue)
 
@@ -224,11 +224,12 @@ def test_places_and_scenarios_are_two_tests() -> None:
 
 def test_the_sign_flip_test_keeps_its_level_where_futures_agree() -> None:
     """Futures of a scenario that all go one way: McNemar over episodes finds too much."""
+    rng = np.random.default_rng(0)
     draws, futures, rejected, naive = 400, 8, 0, 0
     names = [f"s{i}" for i in range(15) for _ in range(futures)]
     for _ in range(draws):
-        way = np.repeat(RNG.choice([-1.0, 0.0, 1.0], size=15), futures)
-        differences = way * (RNG.random(len(way)) < 0.7)
+        way = np.repeat(rng.choice([-1.0, 0.0, 1.0], size=15), futures)
+        differences = way * (rng.random(len(way)) < 0.7)
         a, b = (differences < 0.0).astype(float), (differences > 0.0).astype(float)
         p = share_difference(a, b, names).p
         assert p is not None
@@ -240,15 +241,16 @@ def test_the_sign_flip_test_keeps_its_level_where_futures_agree() -> None:
 
 def _coverage(places: Sequence[str], differ: float, draws: int = 300) -> tuple[float, float]:
     """Coverage with and without regard to places, where few places are prone to differ."""
+    rng = np.random.default_rng(0)
     names = list(dict.fromkeys(places))
     index = np.array([names.index(place) for place in places])
     by_place = by_scenario = 0
     for _ in range(draws):
         # Half of the places differ at twice the rate, so what differs comes in lumps.
-        prone = RNG.random(len(names)) < 0.5
+        prone = rng.random(len(names)) < 0.5
         # The direction is the place's, either with the same probability: the truth is 0.
-        sign = RNG.choice([-1.0, 1.0], size=len(names))
-        hit = RNG.random(len(places)) < 2.0 * differ * prone[index]
+        sign = rng.choice([-1.0, 1.0], size=len(names))
+        hit = rng.random(len(places)) < 2.0 * differ * prone[index]
         b = np.where(hit, sign[index], 0.0)
         a = (b < 0.0).astype(np.float64)
         b = (b > 0.0).astype(np.float64)
@@ -267,8 +269,9 @@ def test_coverage_holds_where_the_scenarios_of_a_place_resemble_each_other(
 
 
 def test_means_of_single_places_are_those_of_the_paired_t_test() -> None:
-    a = RNG.normal(5.0, 1.0, 40)
-    b = a + RNG.normal(0.2, 0.5, 40)
+    rng = np.random.default_rng(0)
+    a = rng.normal(5.0, 1.0, 40)
+    b = a + rng.normal(0.2, 0.5, 40)
     found, oracle = mean_difference(a, b, _each(40)), ttest_rel(b, a)
     interval = oracle.confidence_interval()
     assert found.p == pytest.approx(oracle.pvalue)
@@ -277,8 +280,9 @@ def test_means_of_single_places_are_those_of_the_paired_t_test() -> None:
 
 
 def test_means_do_not_gain_by_copies_at_the_same_places() -> None:
-    a = RNG.normal(5.0, 1.0, 25)
-    b = a + RNG.normal(0.2, 0.5, 25)
+    rng = np.random.default_rng(0)
+    a = rng.normal(5.0, 1.0, 25)
+    b = a + rng.normal(0.2, 0.5, 25)
     once = mean_difference(a, b, _each(25))
     many = mean_difference(np.tile(a, 4), np.tile(b, 4), _each(25) * 4)
     assert (many.n, many.places) == (100, 25)
@@ -286,11 +290,12 @@ def test_means_do_not_gain_by_copies_at_the_same_places() -> None:
 
 
 def test_coverage_of_means_holds_where_places_differ() -> None:
+    rng = np.random.default_rng(0)
     names = list(dict.fromkeys(RECORDED))
     index = np.array([names.index(place) for place in RECORDED])
     zero, held = np.zeros(len(RECORDED)), 0
     for _ in range(400):
-        values = RNG.normal(size=len(names))[index] + RNG.normal(size=len(RECORDED))
+        values = rng.normal(size=len(names))[index] + rng.normal(size=len(RECORDED))
         held += _holds(mean_difference(zero, values, RECORDED), 0.0)
     # Places of 20 and of 1 scenario: the error of the mean is underestimated a little.
     assert held / 400 > 0.88

@@ -22,8 +22,6 @@ from dosplan.results.power import (
 from dosplan.scoring.score import failed_score
 from dosplan.types import Arm, EpisodeKey, FloatArray, Outcome, Score
 
-RNG = np.random.default_rng(5)
-
 
 @pytest.mark.parametrize(("n", "first", "second"), [(9, 0.7, 0.05), (12, 0.5, 0.1), (14, 0.6, 0.0)])
 def test_power_is_the_chance_of_a_small_p(n: int, first: float, second: float) -> None:
@@ -57,10 +55,12 @@ def test_few_pairs_show_nothing() -> None:
     assert smallest_difference(np.empty(0), []) is None
 
 
-def _simulated(scenarios: int, futures: int, decisive: float, prevented: float) -> FloatArray:
+def _simulated(
+    rng: np.random.Generator, scenarios: int, futures: int, decisive: float, prevented: float
+) -> FloatArray:
     """Differences of collisions where some scenarios decide, each future by a chance of its own."""
-    here = RNG.random(scenarios) < decisive
-    return -(here[:, None] & (RNG.random((scenarios, futures)) < prevented)).astype(np.float64)
+    here = rng.random(scenarios) < decisive
+    return -(here[:, None] & (rng.random((scenarios, futures)) < prevented)).astype(np.float64)
 
 
 @pytest.mark.parametrize(("scenarios", "futures", "prevented"), [(150, 5, 0.5), (60, 4, 0.8)])
@@ -78,7 +78,8 @@ def test_the_test_by_scenarios_finds_the_smallest_difference_as_often(
         smallest = detectable_difference(int(scenarios * futures / effect))
         assert smallest is not None
         decisive = smallest / prevented
-    draws = [_simulated(scenarios, futures, decisive, prevented).ravel() for _ in range(600)]
+    rng = np.random.default_rng(5)
+    draws = [_simulated(rng, scenarios, futures, decisive, prevented).ravel() for _ in range(600)]
     found = np.mean([sign_flip_p(sums_over(draw, names)) <= 0.05 for draw in draws])
     assert found == pytest.approx(POWER, abs=0.1)
     effects = [design_effect(draw, names) for draw in draws]

@@ -95,7 +95,9 @@ def test_every_future_is_driven_and_scored_as_itself(finished: RunFolder) -> Non
 def test_episodes_of_a_recording_keep_no_copy_of_it(
     finished: RunFolder, places: Path, scenario: Scenario
 ) -> None:
-    for row, drive in find_drives(finished.path, IDS[0], source=str(places)):
+    drives = list(find_drives(finished.path, IDS[0], source=str(places)))
+    assert len(drives) == len(Arm) * COUNT
+    for row, drive in drives:
         assert drive is not None
         assert drive.recording.tracks is None
         recorded = scenario.recorded(row.future)
@@ -264,5 +266,7 @@ def test_sets_are_measured_over_recorded_futures(
 
 def test_archives_bring_the_futures(places: Path, tmp_path: Path) -> None:
     archive = shutil.make_archive(str(tmp_path / "places"), "zip", places)
-    for ref in find_scenarios(archive):
+    refs = find_scenarios(archive)
+    assert len(refs) == len(IDS)
+    for ref in refs:
         assert len(load_scenario(ref).futures) == COUNT - 1

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import dosplan.scoring.score
 from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.scoring import score as scoring
 from dosplan.scoring.score import failed_score, min_time_to_collision
@@ -310,9 +309,3 @@ def test_what_every_row_satisfies(
         assert step is None or 0 <= step <= row.steps
     assert 0 <= row.steps <= 30
     assert np.isfinite([row.velocity, row.progress, row.max_abs_jerk]).all()
-
-
-def test_the_definitions_are_stated() -> None:
-    text = " ".join((dosplan.scoring.score.__doc__ or "").split())
-    for name in ("Two arms", "Outcome", "Fault", "Velocity", "CR_t", "OSA_t"):
-        assert f"**{name}**" in text or f"**{name}.**" in text

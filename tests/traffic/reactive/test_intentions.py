@@ -7,12 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dosplan_reactive.intentions import drawn
+from dosplan_reactive import traffic as traffic_module
+from dosplan_reactive.intentions import Minds, drawn, recorded_minds
 from dosplan_reactive.settings import Intentions, ReactiveSettings
 from dosplan_reactive.traffic import ReactiveTraffic
 
 from dosplan.geometry import rectangles_overlap
-from dosplan.scenario.synthetic import LANE_WIDTH, busy_scenario, straight_scenario
+from dosplan.scenario.synthetic import CAR_SIZE, LANE_WIDTH, busy_scenario, straight_scenario
+from dosplan.simulation.traffic import RoadUsers
 from dosplan.simulation.world import World
 from dosplan.types import FloatArray, RoadUserKind, Scenario, Tracks
 from tests.traffic.reactive.scenes import along, driven, scene, standing, state
@@ -163,6 +165,109 @@ def test_nobody_drives_through_another_in_any_future() -> None:
             one, other = np.triu_indices(len(users.ids), 1)
             states, size = users.states, users.size
             assert not rectangles_overlap(states[one], size[one], states[other], size[other]).any()
+
+
+def merging() -> Scenario:
+    """Two on foot whose ways merge at the origin; recorded, one is 8 m ahead of the other."""
+    first = along(np.full(131, 1.5), start=0.0)
+    second = along(np.full(131, 1.5), start=-8.0)
+    beside = second[:, 0] < 0.0  # Until the origin it comes from the right, at 45 degrees.
+    second[beside, 1] = second[beside, 0] * np.sqrt(0.5)
+    second[beside, 0] *= np.sqrt(0.5)
+    second[beside, 2] = np.pi / 4.0
+    return scene(first, second, kinds=[RoadUserKind.PEDESTRIAN] * 2)
+
+
+def paced(monkeypatch: pytest.MonkeyPatch, *paces: float) -> ReactiveTraffic:
+    """Traffic of a future in which the road users have these shares of their recorded speeds."""
+
+    def minds(
+        scenario: Scenario, first_step: int, chosen: ReactiveSettings, seed: int, future: int
+    ) -> tuple[Minds, Tracks]:
+        del first_step, seed, future
+        return replace(recorded_minds(len(paces), chosen), pace=np.array(paces)), scenario.tracks
+
+    monkeypatch.setattr(traffic_module, "drawn", minds)
+    return ReactiveTraffic(future=1)
+
+
+def overlaps(users: RoadUsers) -> bool:
+    states, size = users.states, users.size
+    return bool(rectangles_overlap(states[:1], size[:1], states[1:], size[1:])[0])
+
+
+def test_whoever_would_walk_into_another_is_held_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On foot nobody heeds others, so that ``_keep_apart`` alone can hold them.
+
+    Their rectangles are 4.5 m long: 8 m apart, they have 3.5 m between them. At 1.2 and 1.8 m/s
+    they lose 0.6 m/s * (10 s - half of the 2 s over which they take up their speeds) = 5.4 m.
+    """
+    far = standing(-300.0)
+    users = driven(merging(), far, paced(monkeypatch, 0.8, 1.2))
+    assert not any(overlaps(seen) for seen in users)
+    # The one ahead is not held: 12 m in ten seconds, and 0.3 m more over the first two.
+    assert state(users[-1], 100)[0] == pytest.approx(12.3, abs=0.05)
+    # The one behind stands as close behind it as a step of 0.18 m lets it come.
+    gap = state(users[-1], 100)[0] - state(users[-1], 101)[0] - CAR_SIZE[0]
+    assert 0.0 <= gap < 0.31
+    monkeypatch.setattr(ReactiveTraffic, "_keep_apart", lambda *_: None)
+    users = driven(merging(), far, paced(monkeypatch, 0.8, 1.2))
+    assert overlaps(users[-1])
+
+
+def who_waits(
+    one: FloatArray,
+    other: FloatArray,
+    *,
+    clocks: tuple[float, float] = (4.0, 4.0),
+    before: tuple[float, float] = (3.0, 3.0),
+    kinds: tuple[RoadUserKind, RoadUserKind] = (RoadUserKind.CAR,) * 2,
+    gap: int | None = None,
+) -> list[int]:
+    """Who is held of two that would overlap at these (4,) states: 0, 1, both or none."""
+    states = [np.tile(pose, (9, 1)) for pose in (one, other)]
+    if gap is not None:
+        states[gap][6] = np.nan
+    traffic = ReactiveTraffic()
+    traffic.begin(scene(*states, kinds=kinds), 0)
+    traffic._clock[:] = clocks
+    rows, pair = np.arange(2), (np.array([0]), np.array([1]))
+    held = traffic._who_waits(rows, np.stack([one, other]), np.array(before), *pair, 4)
+    return [int(row) for row in held]
+
+
+REAR, FRONT = np.array([0.0, 0.0, 0.0, 2.0]), np.array([4.0, 0.5, 0.3, 2.0])
+"""Both drive to the right: the second is ahead of the first, the first behind the second."""
+
+ONCOMING = np.array([4.0, 0.5, np.pi, 2.0])
+"""Has the first ahead, as the first has it."""
+
+AWAY = np.array([-4.0, 0.5, np.pi, 2.0])
+"""Has the first behind, as the first has it."""
+
+
+def test_of_two_that_would_overlap_the_one_behind_waits_whatever_their_clocks() -> None:
+    for clocks in ((4.0, 4.0), (3.2, 4.0), (4.0, 3.2)):
+        assert who_waits(REAR, FRONT, clocks=clocks) == [0]
+        assert who_waits(FRONT, REAR, clocks=clocks) == [1]
+
+
+@pytest.mark.parametrize("met", [ONCOMING, AWAY])
+def test_of_two_of_which_neither_is_behind_the_later_one_waits(met: FloatArray) -> None:
+    assert who_waits(REAR, met, clocks=(3.2, 4.0)) == [0]
+    assert who_waits(REAR, met, clocks=(4.0, 3.2)) == [1]
+    assert who_waits(REAR, met, clocks=(4.0, 4.0)) == [0]  # Equal: the first of the pair.
+
+
+def test_who_cannot_be_held_does_not_wait_but_the_other_does() -> None:
+    parked = (RoadUserKind.PARKED, RoadUserKind.CAR)
+    assert who_waits(REAR, FRONT, kinds=parked) == [1]
+    assert who_waits(REAR, FRONT, kinds=(RoadUserKind.PARKED,) * 2) == []
+    # Whose clock did not move has nothing to be held back from; nor has who is recorded with gaps.
+    assert who_waits(REAR, FRONT, before=(4.0, 3.0)) == [1]
+    assert who_waits(REAR, FRONT, before=(4.0, 4.0)) == []
+    assert who_waits(REAR, FRONT, gap=0) == [1]
+    assert who_waits(FRONT, REAR, gap=1) == [0]
 
 
 def test_a_future_can_be_watched_without_an_ego_that_drives() -> None:

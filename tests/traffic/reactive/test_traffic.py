@@ -196,6 +196,20 @@ def test_who_is_late_stops_at_a_light_that_its_recording_passed_while_it_was_gre
     assert state(driven(green, ego)[-1], 100)[0] > STOP_X + 10.0
 
 
+def test_who_is_recorded_to_run_a_red_light_runs_it_when_it_is_late_too() -> None:
+    # The light of the other lane is red throughout; recorded, the car drives over its line.
+    passing = along(np.full(101, 10.0), start=-5.0, y=LANE_WIDTH)
+    scenario = regulated_scenario(scene(passing).tracks)
+    ego = standing(14.0, LANE_WIDTH)
+    ego[18:, 1] = -30.0
+    late = driven(scenario, ego)
+    # Held up well before the line, by more than what others react to: 0.5 m are 0.05 s.
+    before = state(late[24], 100)[0]
+    assert before + 0.5 * CAR_SIZE[0] < STOP_X - 5.0
+    assert before < scenario.tracks.states[0, 25, 0] - 0.5
+    assert state(late[-1], 100)[0] > STOP_X + 10.0
+
+
 def test_an_episode_leaves_nothing_behind() -> None:
     scenario, traffic = followed(), ReactiveTraffic()
     first = driven(scenario, standing(20.0), traffic)

@@ -7,6 +7,8 @@ import math
 import re
 import time
 from dataclasses import replace
+from functools import partial
+from types import FunctionType, ModuleType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -531,29 +533,77 @@ def test_an_ego_does_not_see_who_is_behind_a_truck() -> None:
 # What plug-ins can reach.
 
 
-def test_exact_states_cannot_be_reached_from_an_observation() -> None:
-    """No array that it holds, and none behind those, has a true centre in it."""
-    scenario = busy_scenario()
-    planner = CountingPlanner()
-    drive(replace(REALISTIC, latency=0.2), scenario, planner)
-    truth = set(np.round(scenario.tracks.states[:, :, :2].ravel(), 9).tolist()) - {0.0}
-    reached, todo = set(), [observation for observation, _ in planner.shown[5:8]]
-    looked_at = 0
+def uneven_scenario() -> Scenario:
+    """The busy scene, off every round number: what is equal to a true value is that value."""
+    plain, rng = busy_scenario(), np.random.default_rng(11)
+    tracks = plain.tracks
+    off = rng.uniform(0.01, 0.09, (len(tracks.ids), 4))
+    off[:, USER_VELOCITY] *= [kind.moves for kind in tracks.kinds]  # Who is parked stands.
+    first = tracks.states[:, 0] + off
+    size = tracks.size + rng.uniform(0.01, 0.09, tracks.size.shape)
+    moved = steady_tracks(first, kinds=tracks.kinds)
+    return replace(plain, tracks=replace(moved, size=size))
+
+
+def reachable(start: Any) -> list[Any]:
+    """All that can be got at from an object: its parts, theirs, and what arrays are views of."""
+    found: dict[int, Any] = {}
+    todo = [start]
     while todo:
         value = todo.pop()
-        if id(value) in reached or isinstance(value, type):
+        if id(value) in found or isinstance(value, type | ModuleType):
             continue
-        reached.add(id(value))
-        if isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 3:
-            looked_at += 1
-            assert not truth & set(np.round(value.ravel(), 9).tolist())
+        found[id(value)] = value
         if isinstance(value, np.ndarray):
-            todo.extend([] if value.base is None else [value.base])
-        elif hasattr(value, "__dict__") and not callable(value):
-            todo.extend(part for part in vars(value).values())
-        elif isinstance(value, tuple | list | dict):
+            todo.append(value.base)
+            todo.extend(value.ravel().tolist() if value.dtype == object else [])
+        elif isinstance(value, FunctionType):  # Not by its globals: they lead to everything.
+            todo.extend([value.__closure__, value.__defaults__, value.__kwdefaults__, vars(value)])
+        else:
             todo.extend(gc.get_referents(value))
-    assert looked_at >= 3
+    return list(found.values())
+
+
+def true_values_in(start: Any, scenario: Scenario) -> set[float]:
+    """The true states and sizes of road users that can be got at, in arrays or as numbers."""
+    tracks = scenario.tracks
+    truth = np.concatenate([tracks.states.ravel(), tracks.size.ravel()])
+    known = set(np.round(truth, 9).tolist()) - {0.0}
+    reached: set[float] = set()
+    for value in reachable(start):
+        if isinstance(value, np.ndarray) and value.dtype == np.float64:
+            reached |= known & set(np.round(value.ravel(), 9).tolist())
+        elif isinstance(value, float):
+            reached |= known & {round(value, 9)}
+    return reached
+
+
+def test_exact_states_and_sizes_cannot_be_reached_from_an_observation() -> None:
+    """No array that it holds, and none behind those, has a true value in it."""
+    scenario = uneven_scenario()
+    planner = CountingPlanner()
+    drive(replace(REALISTIC, latency=0.2), scenario, planner)
+    for observation, _ in planner.shown[5:8]:
+        assert len(observation.ids) >= 3
+        held = [id(value) for value in reachable(observation)]
+        for part in (observation.states, observation.size, observation.task.route.path):
+            assert id(part) in held
+        assert true_values_in(observation, scenario) == set()
+
+
+def test_the_search_for_true_values_finds_them_where_they_are_shown() -> None:
+    """In the ideal loop, an observation has the past and the present of all, and their sizes."""
+    scenario = uneven_scenario()
+    planner = CountingPlanner()
+    drive(IDEAL, scenario, planner)
+    tracks = scenario.tracks
+    shown = np.concatenate([tracks.states[:, 15:46].ravel(), tracks.size.ravel()])
+    wanted = set(np.round(shown, 9).tolist()) - {0.0}
+    found = true_values_in(planner.shown[5][0], scenario)  # Of step 45, from 30 steps before on.
+    assert found == wanted
+    # A view leads to all that it is cut from, wherever it is kept.
+    hidden = [{"later": partial(max, tracks.size[0, 1:])}]
+    assert true_values_in(hidden, scenario) == set(np.round(tracks.size.ravel(), 9).tolist())
 
 
 # Settings.

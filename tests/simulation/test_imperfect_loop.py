@@ -578,12 +578,30 @@ def true_values_in(start: Any, scenario: Scenario) -> set[float]:
     return reached
 
 
+class NotingPredictor(ConstantVelocityPredictor):
+    """Keeps what it is shown."""
+
+    name = "noting-v1"
+
+    def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
+        self.shown: list[Observation] = []
+
+    def compute_occupancy(self, observation: Observation) -> Occupancy:
+        self.shown.append(observation)
+        return super().compute_occupancy(observation)
+
+
 def test_exact_states_and_sizes_cannot_be_reached_from_an_observation() -> None:
-    """No array that it holds, and none behind those, has a true value in it."""
+    """No array that it holds, and none behind those, has a true value in it.
+
+    What a planner is shown is made of what its predictor is, for the step at which its plan acts.
+    """
     scenario = uneven_scenario()
-    planner = CountingPlanner()
-    drive(replace(REALISTIC, latency=0.2), scenario, planner)
-    for observation, _ in planner.shown[5:8]:
+    planner, predictor = CountingPlanner(), NotingPredictor()
+    drive(replace(REALISTIC, latency=0.2), scenario, planner, predictor=predictor)
+    planned = [observation for observation, _ in planner.shown[5:7]]
+    assert len(predictor.shown) > 7
+    for observation in (*planned, *predictor.shown[5:7]):
         assert len(observation.ids) >= 3
         held = [id(value) for value in reachable(observation)]
         for part in (observation.states, observation.size, observation.task.route.path):

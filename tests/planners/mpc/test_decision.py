@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -40,7 +41,13 @@ DEFAULT = GapSettings()
 
 
 def column_scene(
-    folder: Path, speed: float, places: Sequence[float], start: float, left: bool
+    folder: Path,
+    speed: float,
+    places: Sequence[float],
+    start: float,
+    left: bool,
+    pieces: int = 1,
+    bulge: float = 0.0,
 ) -> Scenario:
     """The ego has to go to the other of two lanes, on which a column drives.
 
@@ -50,6 +57,8 @@ def column_scene(
         places: Where its cars are at the beginning, m.
         start: Where the ego stands.
         left: Whether the ego has to go to the left.
+        pieces: Number of lanelets of each lane, of 400 m.
+        bulge: How far the outer edge of the other lane bulges out in the middle of the first, m.
     """
     own, other = (0.0, 3.5) if left else (3.5, 0.0)
     users = [
@@ -59,10 +68,15 @@ def column_scene(
     parked = scenes.User(
         500, [(start + 12.0, own, 0.0, 0.0)], kind="parkedVehicle", shape=PARKED, static=True
     )
-    goal = scenes.Goal(STEPS, STEPS, scenes.on_lanelets(101 if left else 100))
+    goal = scenes.Goal(STEPS, STEPS, scenes.on_lanelets(100 * pieces + (1 if left else 0)))
+    road = list(scenes.straight_road(lanes=2, length=400.0, pieces=pieces))
+    first = road[1] if left else road[0]
+    edge = np.array(first.left if left else first.right)
+    edge[len(edge) // 2, 1] += bulge if left else -bulge
+    road[1 if left else 0] = replace(first, left=edge) if left else replace(first, right=edge)
     path = scenes.write_scenario_xml(
         folder / "column.xml",
-        scenes.straight_road(lanes=2, length=400.0),
+        road,
         [*users, parked],
         [scenes.Problem(start=(start, own, 0.0, 0.0), goals=(goal,))],
     )
@@ -164,6 +178,32 @@ def test_a_change_of_lanes_has_its_place_along_the_path(tmp_path: Path) -> None:
             assert float(at(along)) == pytest.approx(float(path.project(point, along)[1]), abs=0.1)
     assert change.width == pytest.approx(3.5)
     assert change.until - change.begin > 250.0
+
+
+@pytest.mark.parametrize("left", [False, True], ids=["to the right", "to the left"])
+def test_a_change_of_lanes_is_possible_before_the_lanelet_at_which_the_route_has_it(
+    tmp_path: Path, left: bool
+) -> None:
+    # The other lane bulges by 2 m at x = 50 m, which makes it 0.1 m longer there: the route, the
+    # shortest one, changes lanes from the second lanelets on, at x = 100 m.
+    scenario = column_scene(tmp_path, 8.0, [0.0], 20.0, left, pieces=4, bulge=2.0)
+    own, other = (0, 1) if left else (1, 0)
+    route = scenario.task.route
+    assert route.lanelet_ids == (100 + own, 200 + own, 200 + other, 300 + other, 400 + other)
+    path = aligned_path(scenario.task, MpcConfig().path)
+    (change,) = lane_changes(route, scenario.road_map, path)
+    assert change.width == pytest.approx(3.5)  # That of 200 + other; the one before is wider.
+    # Side by side they are from x = 0 to 400 m, or to where the path ends.
+    begin, end = (path.locate(np.array([x, 3.5 * own])) for x in (0.0, 400.0))
+    assert change.begin == pytest.approx(float(begin), abs=0.1)
+    assert change.until == pytest.approx(float(end), abs=0.1)
+    outwards = 1.0 if left else -1.0
+    for x, aside in ((20.0, 0.0), (50.0, 1.0), (150.0, 0.0), (290.0, 0.0)):
+        # The middle of the lane that bulges out by 2 m on one side is 1 m farther out.
+        for at, y in ((change.before, 3.5 * own), (change.after, 3.5 * other + outwards * aside)):
+            point = np.array([x, y])
+            along = path.locate(point)
+            assert float(at(along)) == pytest.approx(float(path.project(point, along)[1]), abs=0.1)
 
 
 def test_nothing_is_decided_where_nobody_is_in_the_way(tmp_path: Path) -> None:

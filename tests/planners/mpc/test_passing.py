@@ -3,30 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from dosplan_mpc.config import MpcConfig, PassingSettings
+from dosplan_mpc.passing import Pass, PassingDecision
 from dosplan_mpc.planner import MpcPlanner
+from dosplan_mpc.reference import EgoOnPath, aligned_path
 from dosplan_mpc.sampler import Candidates, Sampler
 from dosplan_simple.predictors import GroundTruthPredictor
 from dosplan_simple.sets import ErrorCirclePredictor
 
 from dosplan.api import Predictor
 from dosplan.scenario import load_scenario
+from dosplan.scenario.synthetic import growing_sets
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
+from dosplan.simulation.world import World
 from dosplan.types import Arm, Episode, FloatArray, Outcome, Score
 from tests.support import scenes
 
-LORRY = "<rectangle><length>8.0</length><width>2.5</width></rectangle>"
 SECONDS = 16
+HALF_WIDTH = 0.9
+"""Distance that the ego's axis keeps from an edge, m, where a decision is made alone."""
 
 
-def lorry(x: float, y: float = 0.0) -> scenes.User:
+def lorry(x: float, y: float = 0.0, length: float = 8.0) -> scenes.User:
     """A lorry that is parked on the road."""
-    return scenes.User(500, [(x, y, 0.0, 0.0)], kind="parkedVehicle", shape=LORRY, static=True)
+    shape = f"<rectangle><length>{length}</length><width>2.5</width></rectangle>"
+    return scenes.User(500, [(x, y, 0.0, 0.0)], kind="parkedVehicle", shape=shape, static=True)
 
 
 def oncoming(x: float, velocity: float, name: int = 600) -> scenes.User:
@@ -62,6 +70,113 @@ def drive(
 
 def reasons(episode: Episode) -> list[str]:
     return [plan.report.waits_for for plan in episode.plans if plan.report.waits_for]
+
+
+class Blocked:
+    """A road with a lane against the ego's, on which lorries are parked; nothing is driven."""
+
+    def __init__(self, folder: Path, *places: tuple[float, ...], side: float = 1.0) -> None:
+        users = [replace(lorry(*place), id=500 + i) for i, place in enumerate(places)]
+        road = scenes.straight_road(lanes=1, oncoming=1, length=350.0)
+        goal = scenes.Goal(0, 100, scenes.rectangle(30.0, 3.4, 250.0, 0.0))
+        file = scenes.write_scenario_xml(
+            folder / "blocked.xml",
+            road if side > 0.0 else scenes.mirrored(road),
+            users,
+            [scenes.Problem(start=(20.0, 0.0, 0.0, 0.0), goals=(goal,))],
+        )
+        scenario = load_scenario(file)
+        self.vehicle = scenario.task.vehicle
+        self.observation = World(scenario).observation()
+        self.occupancy = growing_sets(self.observation)
+        self.path = aligned_path(scenario.task, MpcConfig().path)
+        self.decision = PassingDecision(
+            PassingSettings(), self.path, scenario.task.route, self.vehicle, HALF_WIDTH
+        )
+
+    def along(self, x: float) -> float:
+        """Arc length of a place in the middle of the ego's lane, m."""
+        return float(self.path.locate(np.array([x, 0.0])))
+
+    def passed(self, x: float = 20.0) -> tuple[Pass, list[int]]:
+        """The pass that an ego decides for that stands there, and the ids of whom it passes."""
+        found = self.decided(x)
+        assert found is not None
+        assert found.waits_for is None  # Nobody comes.
+        return found, self.observation.ids[found.users].tolist()
+
+    def decided(self, x: float) -> Pass | None:
+        position = self.along(x)
+        ego = EgoOnPath(0, position - self.vehicle.rear_to_centre, 0.0, position, 0.0)
+        return self.decision.decide(self.observation, self.occupancy, ego)
+
+
+def expect(scene: Blocked, found: Pass, first: float, last: float, offset: float) -> None:
+    """What is passed are the metres from ``first`` to ``last``, ``offset`` m aside.
+
+    Beside them the whole ego is; before and after that, it has 9 m to go aside and back.
+    """
+    half, way = 0.5 * scene.vehicle.length, PassingSettings().shortest_way
+    assert found.near == pytest.approx(scene.along(first) - half, abs=0.01)
+    assert found.far == pytest.approx(scene.along(last) + half, abs=0.01)
+    assert found.near - found.begin == pytest.approx(way)
+    assert found.end - found.far == pytest.approx(way)
+    assert found.offset == pytest.approx(offset, abs=0.01)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["right-hand traffic", "left-hand traffic"])
+def test_two_that_stand_10_m_apart_are_passed_as_one(tmp_path: Path, side: float) -> None:
+    # They are 8 m long: from 36 to 44 m, and from 54 to 62 m. The second sticks out by 0.2 m more.
+    scene = Blocked(tmp_path, (40.0, 0.0), (58.0, 0.2 * side), side=side)
+    found, ids = scene.passed()
+    assert ids == [500, 501]
+    assert found.side == side
+    expect(scene, found, 36.0, 62.0, side * (1.25 + 0.2 + 0.3 + HALF_WIDTH))
+
+
+def test_two_that_stand_60_m_apart_are_passed_one_after_the_other(tmp_path: Path) -> None:
+    # From 26 to 34 m, and from 94 to 102 m, which is 74 m ahead of the ego.
+    scene = Blocked(tmp_path, (30.0, 0.0), (98.0, 0.2))
+    found, ids = scene.passed()
+    assert ids == [500]
+    expect(scene, found, 26.0, 34.0, 1.25 + 0.3 + HALF_WIDTH)
+    # The ego is back on its lane 9 m behind the first.
+    found, ids = scene.passed(x=34.0 + scene.vehicle.length + 9.1)
+    assert ids == [501]
+    expect(scene, found, 94.0, 102.0, 1.25 + 0.2 + 0.3 + HALF_WIDTH)
+
+
+@pytest.mark.parametrize(("apart", "ids"), [(17.9, [500, 501, 502]), (18.1, [500])])
+def test_between_two_the_ego_goes_back_where_there_is_room_to_go_aside_again(
+    tmp_path: Path, apart: float, ids: list[int]
+) -> None:
+    # It takes 9 m to go back, and 9 m to go aside. The third is as close to the second.
+    places = [(30.0 + i * (8.0 + apart), 0.0) for i in range(3)]
+    scene = Blocked(tmp_path, *places)
+    found, passed = scene.passed()
+    assert passed == ids
+    last = 34.0 + (len(ids) - 1) * (8.0 + apart)
+    expect(scene, found, 26.0, last, 1.25 + 0.3 + HALF_WIDTH)
+
+
+def test_the_end_of_a_stretch_is_that_of_who_reaches_farthest(tmp_path: Path) -> None:
+    # The second, 4 m long, ends at 42.5 m beside the first, which ends at 44 m. The third begins at
+    # 60.6 m: close enough behind the first, too far behind the second.
+    scene = Blocked(tmp_path, (40.0, 0.0), (40.5, 0.1, 4.0), (64.6, 0.0))
+    found, ids = scene.passed()
+    assert ids == [500, 501, 502]
+    expect(scene, found, 36.0, 68.6, 1.25 + 0.1 + 0.3 + HALF_WIDTH)
+
+
+def test_what_is_being_passed_is_so_until_the_ego_is_back_on_its_lane(tmp_path: Path) -> None:
+    """Its rear is at 44 m; the ego is 4.5 m long, and needs 9 m to come back."""
+    scene = Blocked(tmp_path, (40.0, 0.0))
+    end = 44.0 + scene.vehicle.length
+    assert scene.decided(end + 0.1) is None  # It was never passed: it lies behind the ego.
+    for x in (20.0, end + 0.1, end + 8.9):
+        assert scene.passed(x)[1] == [500]
+    assert scene.decided(end + 9.1) is None
+    assert scene.decided(end + 0.1) is None
 
 
 @pytest.mark.parametrize("arm", list(Arm))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import json
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,8 @@ NET = SUITE / "sumo-files" / "ZAM_OnRamp-1.net.xml.gz"
 EDGE = "main"
 SPEED = 15.0
 DT = 0.1
-DEMAND = f"""<routes>
-<vType id="calm" sigma="0" speedDev="0" maxSpeed="{SPEED}" emergencyDecel="8"/>
+CALM = f'<vType id="calm" sigma="0" speedDev="0" maxSpeed="{SPEED}" emergencyDecel="8"/>'
+DEMAND = f"""<routes>{CALM}
 <vType id="person" vClass="passenger" length="0.4" width="0.5" minGap="0.5" minGapLat="0.3"/>
 <trip id="car" type="calm" from="{EDGE}" to="{EDGE}" depart="0" departPos="30" departLane="0"
       departSpeed="{SPEED}" insertionChecks="none"/>
@@ -41,26 +42,29 @@ DEMAND = f"""<routes>
 
 
 class Stage:
-    """A car on a motorway, 15 m/s fast, and somebody on foot 120 m ahead of it."""
+    """A car on a motorway, 15 m/s fast, and somebody on foot 120 m ahead of it.
 
-    def __init__(self, folder: Path) -> None:
-        (folder / "net.net.xml").write_bytes(gzip.decompress(NET.read_bytes()))
-        (folder / "demand.rou.xml").write_text(DEMAND)
+    Or what else is put on a network of the suite; the car is there at any rate.
+    """
+
+    def __init__(self, folder: Path, demand: str = DEMAND, net: Path = NET) -> None:
+        (folder / "net.net.xml").write_bytes(gzip.decompress(net.read_bytes()))
+        (folder / "demand.rou.xml").write_text(demand)
         options = {"lateral-resolution": "0.4", "seed": "1"}
         files = (folder / "net.net.xml", [folder / "demand.rou.xml"])
         self.simulation = Simulation(*files, DT, options, folder)
         self.sumo: Any = self.simulation.sumo
         self.executor = Executor(self.sumo)
         self.simulation.step()
-        line = np.array(self.sumo.lane.getShape(f"{EDGE}_0"))
+        line = np.array(self.sumo.lane.getShape(self.sumo.vehicle.getLaneID("car")))
         self.ahead = (line[1] - line[0]) / np.linalg.norm(line[1] - line[0])
         self.left = np.array([-self.ahead[1], self.ahead[0]])
 
     def play(self, script: Script, steps: int) -> dict[str, FloatArray]:
-        """(steps, 3) place, m, and speed, m/s, of both."""
+        """(steps, 3) place, m, and speed, m/s, of all who are on the road from the beginning."""
         self.executor.play(script, self.simulation.time)
-        rows: dict[str, list[tuple[float, float, float]]] = {"car": [], "walker": []}
         vehicle = self.sumo.vehicle
+        rows: dict[str, list[tuple[float, float, float]]] = {x: [] for x in vehicle.getIDList()}
         for _ in range(steps):
             self.executor.step(self.simulation.time, DT)
             self.simulation.step()
@@ -77,9 +81,36 @@ class Stage:
 @pytest.fixture
 def stage(tmp_path: Path) -> Iterator[Stage]:
     """A stage that is cleared at the end."""
-    made = Stage(tmp_path)
-    yield made
-    made.simulation.close()
+    with staged(tmp_path) as made:
+        yield made
+
+
+@contextmanager
+def staged(folder: Path, *trips: str, net: str = "") -> Iterator[Stage]:
+    """A stage that is cleared at the end: the usual one, or with these trips, on another net."""
+    demand = f"<routes>{CALM}{''.join(trips)}</routes>" if trips else DEMAND
+    path = SUITE / "sumo-files" / f"{net}.net.xml.gz" if net else NET
+    made = Stage(folder, demand, path)
+    try:
+        yield made
+    finally:
+        made.simulation.close()
+
+
+def trip(
+    name: str,
+    begin: str,
+    end: str,
+    place: float,
+    speed: float = SPEED,
+    inside: str = "",
+    lane: str = "first",
+) -> str:
+    """Somebody who is at a place of an edge at the beginning, m; from its end where negative."""
+    return (
+        f'<trip id="{name}" type="calm" from="{begin}" to="{end}" depart="0" departPos="{place}" '
+        f'departLane="{lane}" departSpeed="{speed}" insertionChecks="none">{inside}</trip>'
+    )
 
 
 def _away(stage: Stage) -> Action:
@@ -115,6 +146,94 @@ def test_changes_lanes_whoever_is_there(stage: Stage) -> None:
     stage.play((_away(stage), Action(0.0, "car", Verb.LANE, 1.0)), 60)
     assert stage.sumo.vehicle.getLaneIndex("car") == 1
     assert stage.sumo.vehicle.getLateralLanePosition("car") == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_keeps_to_its_lane_behind_whoever_is_slow(tmp_path: Path, keeps: bool) -> None:
+    """60 m ahead somebody drives at 5 m/s; the lane beside is free."""
+    trips = (trip("car", EDGE, EDGE, 30.0), trip("tractor", EDGE, EDGE, 90.0, 5.0))
+    script = (
+        Action(0.0, "tractor", Verb.SPEED, 5.0),
+        Action(0.0, "tractor", Verb.KEEP),
+        *([Action(0.0, "car", Verb.KEEP)] if keeps else []),
+    )
+    with staged(tmp_path, *trips) as stage:
+        speed = stage.play(script, 100)["car"][:, 2]
+        lane = stage.sumo.vehicle.getLaneIndex("car")
+        ahead = stage.sumo.vehicle.getLanePosition("car") > (
+            stage.sumo.vehicle.getLanePosition("tractor")
+        )
+    assert ahead is not keeps
+    assert lane == 0 or not keeps
+    assert speed[-1] == pytest.approx(5.0 if keeps else SPEED, abs=1.0)
+
+
+def test_goes_on_to_another_edge(stage: Stage) -> None:
+    """Its route ends with the edge that it is on: 230 m ahead, which it drives in 15 s."""
+    told = Action(0.0, "car", Verb.ROUTE, edge="out")
+    stage.play((_away(stage), told), 2)
+    assert stage.sumo.vehicle.getRoute("car") == (EDGE, "merge", "out")
+    stage.play((), 170)
+    assert stage.sumo.vehicle.getRoadID("car") == "merge"
+
+
+@pytest.mark.parametrize("careless", [True, False])
+def test_the_careless_run_a_red_light(tmp_path: Path, careless: bool) -> None:
+    """It is red for 45 s, and 70 m away, which the car drives in less than 7 s."""
+    car = trip("car", "a0-", "a2+", -70.0, 10.0, lane="best")  # The first is the sidewalk.
+    with staged(tmp_path, car, net="ZAM_Signal-1") as stage:
+        script = (Action(0.0, "car", Verb.CARELESS),) if careless else ()
+        speed = stage.play(script, 100)["car"][:, 2]
+        edge = stage.sumo.vehicle.getRoadID("car")
+    assert edge == ("a2+" if careless else "a0-")
+    assert speed[-1] == pytest.approx(13.89 if careless else 0.0, abs=0.1)  # Its limit.
+
+
+@pytest.mark.parametrize("told", ["careless", "careless, then free", "nothing"])
+def test_the_careless_do_not_give_way(tmp_path: Path, told: str) -> None:
+    """The car comes from a side road; on the other one three drive past, 20 m apart."""
+    others = (trip(f"other{i}", "a0-", "a1+", -78.0 - 20.0 * i) for i in range(3))
+    car = trip("car", "a2-", "a0+", -60.0, 10.0)
+    script = {
+        "careless": (Action(0.0, "car", Verb.CARELESS),),
+        "careless, then free": (
+            Action(0.0, "car", Verb.CARELESS),
+            Action(0.5, "car", Verb.FREE),
+        ),
+        "nothing": (),
+    }[told]
+    with staged(tmp_path, car, *others, net="ZAM_TJunction-1") as stage:
+        speed = stage.play(script, 80)["car"][:, 2]
+    if told == "careless":
+        assert speed.min() > 9.0  # It slows down for the bend alone.
+    else:
+        assert speed.min() < 4.0
+
+
+def test_the_careless_keep_the_other_rules_as_they_were(stage: Stage) -> None:
+    """Of SUMO's bits, 1 and 2 are safe speeds, 4 bounds braking; 32 frees it of foes inside."""
+    mode = stage.sumo.vehicle.getSpeedMode
+    stage.play((_away(stage), Action(0.0, "car", Verb.CARELESS)), 1)
+    assert mode("car") == 1 + 2 + 4 + 32
+    stage.play((Action(0.0, "car", Verb.BRAKE, 5.0, over=1.0),), 1)
+    stage.play((Action(0.0, "car", Verb.CARELESS),), 1)
+    assert mode("car") == 1 + 2 + 32
+    stage.play((Action(0.0, "car", Verb.FREE),), 1)
+    assert mode("car") == 1 + 2 + 4 + 8 + 16
+
+
+@pytest.mark.parametrize("starts", [True, False])
+def test_leaves_the_place_where_it_stops(tmp_path: Path, starts: bool) -> None:
+    """It stops for 1000 s at 80 m, where it stands after 5 s, and is told to start after 8 s."""
+    stop = f'<stop lane="{EDGE}_0" endPos="80" duration="1000"/>'
+    script = (Action(8.0, "car", Verb.START),) if starts else ()
+    with staged(tmp_path, trip("car", EDGE, EDGE, 30.0, inside=stop)) as stage:
+        speed = stage.play(script, 120)["car"][:, 2]
+        place = stage.sumo.vehicle.getLanePosition("car")
+    stands = np.flatnonzero(speed < 1e-6)
+    assert stands[0] == pytest.approx(50, abs=3)
+    assert stands[-1] == (79 if starts else 119)
+    assert place > 90.0 if starts else place == pytest.approx(80.0, abs=0.5)
 
 
 def test_drives_aside_of_the_middle(stage: Stage) -> None:

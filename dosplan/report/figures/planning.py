@@ -19,7 +19,7 @@ from dosplan.scoring.metrics import find_metric
 from dosplan.system.files import FileError
 from dosplan.types import Arm, Score
 
-RUNS: Final = {"suite": "suite", "suite-1": "first suite", "recorded": "recorded traffic"}
+RUNS: Final = {"suite": "suite", "suite-1": "first suite", "recorded": "public scenarios"}
 GOOD: Final = ("success", "safe")
 BAD: Final = ("collision", "at_fault_collision", "out_of_bounds", "goal_missed")
 """Names of the shares that are drawn."""

@@ -77,3 +77,12 @@ def drives_by_future(suite: Path) -> dict[tuple[str, int], FloatArray]:
         values = [float(row[name]) for name in ("x", "y", "heading", "velocity")]
         states.setdefault((row["id"], int(row.get("future", "0"))), []).append(values)
     return {name: np.array(rows) for name, rows in states.items()}
+
+
+def drive_of(suite: Path, name: str, future: int) -> FloatArray:
+    """The drive of a scenario in a future, without reading those of all others."""
+    lines = gzip.decompress((suite / "drives.csv.gz").read_bytes()).decode().splitlines()
+    rows = _table("\n".join([lines[0], *(line for line in lines if line.startswith(f"{name},"))]))
+    columns = ("x", "y", "heading", "velocity")
+    own = (row for row in rows if int(row.get("future", "0")) == future)
+    return np.array([[float(row[column]) for column in columns] for row in own])

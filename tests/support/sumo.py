@@ -7,6 +7,11 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
+
+from dosplan.simulation.traffic import Traffic
+from dosplan.simulation.world import World
+from dosplan.types import FloatArray, Scenario, Tracks
 from tests.support.suite import SUITE
 
 ZEBRA = "ZAM_Zebra-2_2_T-1"
@@ -40,6 +45,19 @@ def interactive_folder(folder: Path, name: str = ZEBRA) -> Path:
     configuration = configuration.replace(f"{geometry}.net.xml.gz", f"{name}.net.xml")
     (place / f"{name}.sumo.cfg").write_text(configuration.replace(".rou.xml.gz", ".rou.xml"))
     return scene
+
+
+def driven_around(traffic: Traffic, scenario: Scenario, ego: FloatArray) -> Tracks:
+    """The traffic around an ego with the states (K, 4) x, y, heading, velocity of its centre."""
+    vehicle = scenario.task.vehicle
+    world = World(scenario, traffic)
+    states = [np.array(scenario.task.start)]
+    for x, y, heading, velocity in ego:
+        states.append(vehicle.state_at(np.array([x, y]), heading, velocity, 0.0))
+        step = world.now + 1
+        world._others.add(step, traffic.step(step, np.stack(states)))
+        world._states = list(states)
+    return world.tracks
 
 
 def _keep_starts_only(root: ElementTree.Element) -> None:

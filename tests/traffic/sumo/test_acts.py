@@ -11,9 +11,9 @@ import pytest
 
 from dosplan.scenario import ScenarioError, load_scenario
 from dosplan.scenario.sources.sumo import configuration_of, read_configuration
-from dosplan.types import USER_VELOCITY, FloatArray, Scenario
-from tests.support.suite import SUITE
-from tests.support.sumo import ZEBRA
+from dosplan.types import USER_VELOCITY, FloatArray, Scenario, Tracks
+from tests.support.suite import FUTURES_SUITE, SUITE, drive_of
+from tests.support.sumo import ZEBRA, driven_around
 
 pytest.importorskip("libsumo", reason="needs dosplan[sumo]")
 
@@ -104,6 +104,49 @@ def test_where_the_scene_is_not_recognised_futures_differ_by_their_drivers(
         len(first[name]) == len(second[name]) and not np.array_equal(first[name], second[name])
         for name in first.keys() & second.keys()
     )
+
+
+@pytest.mark.skipif(
+    SumoTraffic.versions() != {"libsumo": "1.28.0"}, reason="another SUMO than the suite's"
+)
+@pytest.mark.parametrize(
+    ("name", "futures"),
+    [
+        ("ZAM_BusStop-1_1_T-1", (0, 1)),  # A bus stays at its stop, or pulls out.
+        ("ZAM_OncomingTurn-1_1_T-1", (0, 1)),  # A car goes straight on, or turns left.
+        ("ZAM_AmberTurn-1_1_T-1", (0, 2)),  # A car runs the amber light, or stops at it.
+    ],
+)
+def test_the_cast_of_the_suite_drives_as_it_is_recorded_in_each_future(
+    name: str, futures: tuple[int, int]
+) -> None:
+    """Around the recorded ego everybody is where it is recorded, and not where another future is.
+
+    The recording is smoothed, by up to 0.4 m; the two futures are metres apart.
+    """
+    scenario = load_scenario(FUTURES_SUITE / "files" / f"{name}.xml.gz")
+    for future, other in (futures, futures[::-1]):
+        traffic = SumoTraffic(future=future)
+        try:
+            drive = drive_of(FUTURES_SUITE, name, future)
+            driven = driven_around(traffic, scenario, drive[1:])
+        finally:
+            traffic.close()
+        assert _apart(driven, scenario.recorded(future), scenario.task.start_step) < 0.2
+        assert _apart(driven, scenario.recorded(other), scenario.task.start_step) > 2.0
+
+
+def _apart(one: Tracks, other: Tracks, start: int) -> float:
+    """Mean distance of the road user that is farthest off, of those on the scene at the start."""
+    steps = min(one.steps, other.steps)
+    means = []
+    for row in np.flatnonzero(other.valid[:, start]):
+        (own,) = np.flatnonzero(one.ids == other.ids[row])
+        both = one.valid[own, :steps] & other.valid[row, :steps]
+        both[: start + 1] = False
+        away = one.states[own, :steps] - other.states[row, :steps]
+        means.append(float(np.hypot(*away[both, :2].T).mean()))
+    return max(means)
 
 
 def test_the_file_is_one_of_those_that_a_run_depends_on(

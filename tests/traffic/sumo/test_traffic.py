@@ -25,7 +25,7 @@ from dosplan.types import (
     Tracks,
 )
 from tests.support.suite import drives
-from tests.support.sumo import ZEBRA, interactive_folder, suite_file
+from tests.support.sumo import ZEBRA, driven_around, interactive_folder, suite_file
 
 libsumo = pytest.importorskip("libsumo", reason="needs dosplan[sumo]")
 
@@ -43,19 +43,6 @@ def traffic() -> Iterator[SumoTraffic]:
     made = SumoTraffic()
     yield made
     made.close()
-
-
-def _drive(traffic: SumoTraffic, scenario: Scenario, ego: FloatArray) -> Tracks:
-    """The traffic around an ego with the states (K, 4) x, y, heading, velocity of its centre."""
-    vehicle = scenario.task.vehicle
-    world = World(scenario, traffic)
-    states = [np.array(scenario.task.start)]
-    for x, y, heading, velocity in ego:
-        states.append(vehicle.state_at(np.array([x, y]), heading, velocity, 0.0))
-        step = world.now + 1
-        world._others.add(step, traffic.step(step, np.stack(states)))
-        world._states = list(states)
-    return world.tracks
 
 
 def _recorded_drive(name: str) -> tuple[Scenario, FloatArray]:
@@ -85,7 +72,7 @@ def _same(one: Tracks, other: Tracks) -> bool:
 @pytest.mark.parametrize("name", [ZEBRA, MERGE])
 def test_around_the_recorded_ego_the_recording_comes_back(name: str, traffic: SumoTraffic) -> None:
     scenario, drive = _recorded_drive(name)
-    tracks = _drive(traffic, scenario, drive)
+    tracks = driven_around(traffic, scenario, drive)
     gaps = []
     there = scenario.tracks.valid[:, scenario.task.start_step]
     for row in np.flatnonzero(there):  # Who comes later has a number of SUMO's demand.
@@ -119,7 +106,7 @@ def test_who_leaps_sideways_in_sumo_slides_there(
             yield replace(user, state=state)
 
     scenario, drive = _recorded_drive(ZEBRA)
-    plain = _drive(traffic, scenario, drive[:40])
+    plain = driven_around(traffic, scenario, drive[:40])
     start = scenario.task.start_step
     begun = traffic.begin(scenario, start)
     monkeypatch.setattr("dosplan_sumo.traffic.users", leaping)
@@ -148,7 +135,7 @@ def test_who_leaps_sideways_in_sumo_slides_there(
 def test_the_others_brake_for_the_ego(traffic: SumoTraffic) -> None:
     scenario, _ = _recorded_drive(MERGE)
     ego = _braking(scenario, 60)
-    tracks = _drive(traffic, scenario, ego)
+    tracks = driven_around(traffic, scenario, ego)
     at_end = tracks.states[tracks.valid[:, -1], -1]
     sizes = tracks.size[tracks.valid[:, -1]]
     boxes = shapely.polygons(rectangle_corners(at_end[:, :3], sizes))
@@ -164,7 +151,7 @@ def test_the_same_seed_gives_the_same_road_users_and_another_future_others() -> 
     driven = []
     for future in (0, 0, 1, 1, 2):
         traffic = SumoTraffic(seed=3, future=future)
-        driven.append(_drive(traffic, scenario, drive))
+        driven.append(driven_around(traffic, scenario, drive))
         traffic.close()
     assert _same(driven[0], driven[1])
     assert _same(driven[2], driven[3])
@@ -203,7 +190,7 @@ def test_the_lights_are_those_of_sumo(traffic: SumoTraffic) -> None:
 def test_sumo_sees_the_rectangle_of_the_ego(traffic: SumoTraffic) -> None:
     scenario, drive = _recorded_drive(MERGE)
     vehicle = scenario.task.vehicle
-    _drive(traffic, scenario, drive[:5])
+    driven_around(traffic, scenario, drive[:5])
     seen = libsumo.vehicle
     name = "egoVehicle"
     x, y, heading, velocity = drive[4]
@@ -221,7 +208,7 @@ def test_an_ego_that_leaves_the_road_and_comes_back_is_taken_out_and_in(
     scenario, drive = _recorded_drive(ZEBRA)
     away = drive[:30].copy()
     away[10:20, 0] += 500.0
-    assert _drive(traffic, scenario, away).steps == scenario.task.start_step + 31
+    assert driven_around(traffic, scenario, away).steps == scenario.task.start_step + 31
     assert libsumo.vehicle.getLaneID("egoVehicle")
 
 
@@ -244,7 +231,7 @@ def test_a_folder_without_trajectories_starts_as_its_file_says(
     scenario = load_scenario(interactive_folder(tmp_path))
     assert scenario.interactive
     assert scenario.task.start_step == 0
-    tracks = _drive(traffic, scenario, _braking(scenario, 30))
+    tracks = driven_around(traffic, scenario, _braking(scenario, 30))
     for row, user in enumerate(scenario.tracks.ids):
         (there,) = np.flatnonzero(tracks.ids == user)
         np.testing.assert_array_equal(tracks.states[there, 0], scenario.tracks.states[row, 0])
@@ -309,7 +296,7 @@ def test_an_official_interactive_scenario(traffic: SumoTraffic) -> None:
     scenario = load_scenario(DATA / name / f"{name}.cr.xml")
     past = traffic.begin(scenario, 0)
     assert set(scenario.tracks.ids.tolist()) <= set(past.ids.tolist())
-    tracks = _drive(traffic, scenario, _braking(scenario, 50))
+    tracks = driven_around(traffic, scenario, _braking(scenario, 50))
     known = np.isin(tracks.ids, scenario.tracks.ids)
     assert tracks.valid[known].all()
     assert all(kind is RoadUserKind.CAR for kind in tracks.kinds)

@@ -53,8 +53,8 @@ from dosplan_mpc.stage import (
 from dosplan_mpc.traffic import Lane, Traffic
 
 _ASTRAY: Final = 0.02  # Way off the road, unseen by a plan, from which on it is solved again, m.
-_ANY_VELOCITY: Final = (0.0, np.inf)  # m/s
 _FAR_ASTRAY: Final = 0.5  # From which on its way is of no use, m.
+_ANY_VELOCITY: Final = (0.0, np.inf)  # m/s
 _LAST_PLAN: Final = "last plan"
 _ARRIVAL: Final = "arrival"
 _SAMPLED: Final = "sampled"

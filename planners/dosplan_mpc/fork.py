@@ -49,14 +49,10 @@ def other_branches(
         names = {name for name in after if name in lanelets} - own - branches
     if not branches:
         return Polygon()
-    closed = shapely.union_all(
-        [lanelet_polygon(lanelets[name].left, lanelets[name].right) for name in branches]
-    )
+    closed = shapely.union_all([_area(lanelets[name]) for name in branches])
     box = closed.bounds
     others = [
-        lanelet_polygon(one.left, one.right)
-        for one in lanelets.values()
-        if one.id not in branches and _reaches(one, box)
+        _area(one) for one in lanelets.values() if one.id not in branches and _reaches(one, box)
     ]
     path = shapely.LineString(task.route.path).buffer(half_width)
     closed = closed.difference(shapely.union_all([path, *others]).buffer(mouth))
@@ -80,6 +76,10 @@ def _with_lanes_beside(chain: list[int], lanelets: dict[int, Lanelet]) -> set[in
         found |= {name for name in beside if name is not None}
         new += [name for name in beside if name is not None]
     return found
+
+
+def _area(lanelet: Lanelet) -> Geometry:
+    return lanelet_polygon(lanelet.left, lanelet.right)
 
 
 def _reaches(lanelet: Lanelet, box: tuple[float, float, float, float]) -> bool:

@@ -86,8 +86,8 @@ class Adaptation:
             for row in np.flatnonzero(np.isfinite(missed)):
                 g = self._growth[ids[row]] + self._rate * (missed[row] - self._alpha)
                 self._growth[ids[row]] = max(float(g), 0.0)
+                self._compared.add(ids[row])
             # Who cannot move is never compared, and says nothing of newcomers.
-            self._compared.update(ids[row] for row in np.flatnonzero(np.isfinite(missed)))
             known = [self._growth[name] for name in ids if name in self._compared]
             prior = float(np.mean(known)) if known else 0.0
             for name in ids:

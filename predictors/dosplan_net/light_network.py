@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import torch
 from torch import Tensor, nn
@@ -81,7 +81,7 @@ class LightResponse(nn.Module):
 
 
 def save_response(
-    path: Path, response: LightResponse, network: Path, figures: Mapping[str, float]
+    path: Path, response: LightResponse, network: Path, figures: Mapping[str, float], **more: Any
 ) -> None:
     """Writes a response's weights.
 
@@ -90,6 +90,7 @@ def save_response(
         response: The response.
         network: Weights of the network that it was trained on.
         figures: Those of its validation.
+        more: Other values that JSON can hold and that belong to the weights.
 
     Raises:
         OSError: The network's weights cannot be read.
@@ -99,6 +100,7 @@ def save_response(
         "response": asdict(response.config),
         "network_sha256": sha256(network.read_bytes()).hexdigest(),
         "validation": dict(figures),
+        **more,
     }
     save_weights(path, response.state_dict(), about)
 

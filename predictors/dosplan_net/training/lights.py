@@ -35,7 +35,6 @@ from dosplan_net.training.made_from import (
 )
 from dosplan_net.training.optimise import FitSettings, fit
 from dosplan_net.training.train import NET, digests, run_over
-from dosplan_net.weights import load_weights, save_weights
 
 
 @dataclass(frozen=True)
@@ -199,11 +198,7 @@ def train_lights(
         made_from,
         report,
     )
-    # What belongs to the weights of a response is left to ``save_response``.
-    best = folder / "best.safetensors"
-    save_response(best, response, weights, figures)
-    state, about = load_weights(best, MODEL)
-    save_weights(target, state, about | {MADE_FROM: made_from})
+    save_response(target, response, weights, figures, **{MADE_FROM: made_from})
     return figures
 
 

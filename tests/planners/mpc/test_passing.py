@@ -23,7 +23,7 @@ from dosplan.scenario.synthetic import growing_sets
 from dosplan.scoring.score import score
 from dosplan.simulation.loop import run_episode
 from dosplan.simulation.world import World
-from dosplan.types import Arm, Episode, FloatArray, Outcome, Score
+from dosplan.types import Arm, Episode, FloatArray, Outcome, Scenario, Score
 from tests.support import scenes
 
 SECONDS = 16
@@ -43,6 +43,24 @@ def oncoming(x: float, velocity: float, name: int = 600) -> scenes.User:
     return scenes.User(name, states)
 
 
+def scene(
+    folder: Path,
+    road: Sequence[scenes.Lane],
+    users: Sequence[scenes.User],
+    side: float,
+    velocity: float,
+    goal: scenes.Goal,
+) -> Scenario:
+    """An ego at x = 20 m on a road along x; with the side -1 the road is the other way round."""
+    path = scenes.write_scenario_xml(
+        folder / "scene.xml",
+        road if side > 0.0 else scenes.mirrored(road),
+        users,
+        [scenes.Problem(start=(20.0, 0.0, 0.0, velocity), goals=(goal,))],
+    )
+    return load_scenario(path)
+
+
 def drive(
     folder: Path,
     users: Sequence[scenes.User],
@@ -56,13 +74,7 @@ def drive(
     """An ego at 10 m/s on a road along x, its goal 75 m behind the lorry's usual place."""
     road = scenes.straight_road(lanes=lanes, oncoming=against, length=350.0)
     goal = scenes.Goal(0, 10 * SECONDS, scenes.rectangle(30.0, 3.4, 145.0, 0.0))
-    path = scenes.write_scenario_xml(
-        folder / "scene.xml",
-        road if side > 0.0 else scenes.mirrored(road),
-        users,
-        [scenes.Problem(start=(20.0, 0.0, 0.0, 10.0), goals=(goal,))],
-    )
-    scenario = load_scenario(path)
+    scenario = scene(folder, road, users, side, 10.0, goal)
     predictor = ErrorCirclePredictor() if predictor is None else predictor
     episode = run_episode(scenario, MpcPlanner(), predictor, arm)
     return score(scenario, episode), episode
@@ -79,13 +91,7 @@ class Blocked:
         users = [replace(lorry(*place), id=500 + i) for i, place in enumerate(places)]
         road = scenes.straight_road(lanes=1, oncoming=1, length=350.0)
         goal = scenes.Goal(0, 100, scenes.rectangle(30.0, 3.4, 250.0, 0.0))
-        file = scenes.write_scenario_xml(
-            folder / "blocked.xml",
-            road if side > 0.0 else scenes.mirrored(road),
-            users,
-            [scenes.Problem(start=(20.0, 0.0, 0.0, 0.0), goals=(goal,))],
-        )
-        scenario = load_scenario(file)
+        scenario = scene(folder, road, users, side, 0.0, goal)
         self.vehicle = scenario.task.vehicle
         self.observation = World(scenario).observation()
         self.occupancy = growing_sets(self.observation)

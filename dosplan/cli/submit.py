@@ -13,7 +13,7 @@ from dosplan.results.published import LEADERBOARD
 
 _SUBMIT: Final = """\
 examples:
-  dosplan run suite --planner mine.py:Coast --futures 5 --out runs/mine
+  dosplan run suite --planner mine.py:Coast --futures 2 --out runs/mine
   dosplan submit runs/mine --name Coast --authors 'Ada L.' --url https://example.org/coast
   dosplan submit runs/mine --check                  what speaks against it? Nothing is written
   dosplan submit runs/recorded --source commonroad/bench

@@ -73,6 +73,23 @@ class Pass:
         return np.asarray(offset + part * (self.offset - offset))
 
 
+@dataclass(frozen=True)
+class _Stretch:
+    """Part of the ego's lane that is blocked.
+
+    Attributes:
+        users: (n,) rows of the observation that block it.
+        first: Arc length at which it begins, m.
+        last: Arc length at which it ends, m.
+        across: (n, 4) offsets of their corners from the path, m.
+    """
+
+    users: IntArray
+    first: float
+    last: float
+    across: FloatArray
+
+
 class PassingDecision:
     """Decides in every cycle of an episode."""
 
@@ -133,49 +150,73 @@ class PassingDecision:
         return found
 
     def _blocked(self, observation: Observation, ego: EgoOnPath) -> Pass | None:
-        """The first stretch ahead that is blocked and can be passed over the lane against it."""
+        """The first stretch ahead that is blocked, where it can be passed.
+
+        That over the lane against the path. What is being passed is so until the ego is back on its
+        own lane.
+        """
+        settings, vehicle = self._settings, self._vehicle
+        margin = 0.5 * vehicle.length
+        way = max(settings.shortest_way, settings.seconds * ego.velocity)
+        stretches = self._stretches(observation, ego.position - margin - way, ego.position)
+        for i, stretch in enumerate(stretches):
+            back = way
+            if i + 1 < len(stretches):
+                # Back so early that there is a way aside again before what blocks the lane next.
+                room = stretches[i + 1].first - stretch.last - 2.0 * margin
+                back = min(way, room - settings.shortest_way)
+            far = stretch.last + margin
+            going = not self._going.isdisjoint(observation.ids[stretch.users].tolist())
+            if ego.position > (far + back if going else far):
+                continue
+            near = stretch.first - margin
+            return self._round(stretch, begin=near - way, near=near, far=far, end=far + back)
+        return None
+
+    def _round(
+        self, stretch: _Stretch, *, begin: float, near: float, far: float, end: float
+    ) -> Pass | None:
+        """The pass of a stretch on the side that has a lane against the path and room on it."""
+        settings, half = self._settings, self._half_width
+        for side in (1.0, -1.0):
+            outer, own = self._edges(side, stretch.first, stretch.last)
+            offset = float((side * stretch.across).max()) + settings.clearance + half
+            if outer - own > settings.lane and offset + half <= outer:
+                return Pass(stretch.users, begin, near, far, end, side * offset, side)
+        return None
+
+    def _stretches(self, observation: Observation, begin: float, ego: float) -> list[_Stretch]:
+        """What blocks the ego's lane from an arc length on, in its order along the path.
+
+        Those so close behind each other that the ego cannot go back in between are one.
+        """
+        settings = self._settings
         standing = np.flatnonzero(~observation.moves)
         if not len(standing):
-            return None
-        settings, half, vehicle = self._settings, self._half_width, self._vehicle
+            return []
         along, across = self._beside_path(
             rectangle_corners(observation.states[standing, -1, :3], observation.size[standing])
         )
         first, last = along.min(axis=1), along.max(axis=1)
-        # What is being passed is so until the ego is back on its lane.
-        way = max(settings.shortest_way, settings.seconds * ego.velocity)
-        going = np.isin(observation.ids[standing], list(self._going))
-        behind = vehicle.length + np.where(going, way, 0.0)
-        near = (last > ego.position - behind) & (first < ego.position + settings.ahead)
-        blocks = near.copy()
-        blocks[near] = self._in_the_way(first[near], last[near], across[near])
-        if not blocks.any():
-            return None
-        # Those so close behind each other that the ego cannot go back in between are one.
-        order = np.argsort(np.where(blocks, first, np.inf), kind="stable")[: int(blocks.sum())]
-        chosen, far = [int(order[0])], float(last[order[0]])
-        for row in order[1:]:
-            if first[row] - far > 2.0 * settings.shortest_way:
-                break
-            chosen.append(int(row))
-            far = max(far, float(last[row]))
-        begin = float(first[chosen].min())
-        for side in (1.0, -1.0):
-            outer, own = self._edges(side, begin, far)
-            beside = float((side * across[chosen]).max())
-            offset = beside + settings.clearance + half
-            if outer - own > settings.lane and offset + half <= outer:
-                margin = 0.5 * vehicle.length
-                return Pass(
-                    users=standing[chosen],
-                    begin=begin - margin - way,
-                    near=begin - margin,
-                    far=far + margin,
-                    end=far + margin + way,
-                    offset=side * offset,
-                    side=side,
-                )
-        return None
+        near = np.flatnonzero((last > begin) & (first < ego + settings.ahead))
+        blocking = near[self._in_the_way(first[near], last[near], across[near])]
+        apart = self._vehicle.length + 2.0 * settings.shortest_way
+        groups: list[list[int]] = []
+        far = -np.inf
+        for row in blocking[np.argsort(first[blocking], kind="stable")].tolist():
+            if first[row] - far > apart:
+                groups.append([])
+            groups[-1].append(row)
+            far = max(far, last[row])
+        return [
+            _Stretch(
+                users=standing[rows],
+                first=float(first[rows].min()),
+                last=float(last[rows].max()),
+                across=across[rows],
+            )
+            for rows in groups
+        ]
 
     def _beside_path(self, corners: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(n, 4) arc lengths and offsets, m, of corners: the last ones, where they are the same."""

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from dosplan.cli.arguments import SOURCE_HELP, add_loop, add_seed, chosen_settings
 from dosplan.cli.command import CommandError
+from dosplan.system.files import FileError
 
 SET_EVERY: Final = 2
 
@@ -39,6 +40,12 @@ class DataCommand:
             metavar="K",
             help="take so many recorded futures of each scenario, where it has them; together they "
             "count as one (default: %(default)s)",
+        )
+        parser.add_argument(
+            "--met",
+            type=Path,
+            metavar="RUN",
+            help="learn only from road users that the ego of that run came near within the horizon",
         )
         add_loop(parser, "have the road users seen as in that loop of dosplan run")
         add_seed(parser)
@@ -74,10 +81,11 @@ class DataCommand:
                         options.loop or "ideal", chosen_settings(options.settings or (), "loop")
                     ),
                     seed=options.seed,
+                    met=options.met,
                     workers=options.workers,
                     progress=progress,
                 )
-        except CacheError as error:
+        except (CacheError, FileError) as error:
             raise CommandError(str(error)) from None
         for line in (*report.unreadable, *report.empty):
             print(f"left out: {line}", file=sys.stderr)

@@ -12,7 +12,7 @@ import json
 import re
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from hashlib import sha256
@@ -36,6 +36,7 @@ from dosplan.system.files import write_json
 from dosplan.types import Observation, Scenario, Tracks
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 from dosplan_net.lights import LIGHT_SIZE, describe_lights, find_lights
+from dosplan_net.training.met import DrivenPath, Drives, are_met, read_drives
 
 FORMAT: Final = 2
 SEVERAL: Final = 3
@@ -229,6 +230,7 @@ def build_cache(
     futures: int = 1,
     loop: LoopSettings = IDEAL,
     seed: int = 0,
+    met: Path | None = None,
     workers: int = 1,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> BuildReport:
@@ -241,6 +243,8 @@ def build_cache(
         futures: How many of the recorded futures of a scenario are taken at most.
         loop: The loop through which the road users are seen; what comes is as recorded.
         seed: Seed of the errors of what is seen.
+        met: A run of these recordings: only of road users that its ego met (``are_met``) is there
+            a future to learn from; the others are there as their neighbours.
         workers: Processes.
         progress: Called with how many recordings are done, and of how many.
 
@@ -249,25 +253,26 @@ def build_cache(
 
     Raises:
         CacheError: Nothing could be extracted, or ``out`` cannot be written.
+        FileError: The run ``met`` cannot be read, or is none in recorded traffic.
     """
+    everyone = [ref for s in sources for ref in reversed(find_scenarios(s))]
     # One planning problem per recording is enough: the road users are the same.
-    refs = list({ref.path: ref for s in sources for ref in reversed(find_scenarios(s))}.values())
-    refs.sort(key=lambda ref: ref.path.name)
+    refs = sorted({ref.path: ref for ref in everyone}.values(), key=lambda ref: ref.path.name)
+    driven = None if met is None else _by_recording(read_drives(met), everyone)
+    if driven is not None:
+        refs = [ref for ref in refs if ref.path in driven]
+        if not refs:
+            raise CacheError(f"{met} drove none of these recordings: name those that it drove")
     try:
         (out / "shards").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CacheError(f"{out}: cannot be written ({error.strerror}); name another") from None
-    jobs = [
-        _Job(
-            ref=ref,
-            shard=out / "shards" / f"{_digest(ref.path, every, futures, loop, seed)}.npz",
-            every=every,
-            futures=futures,
-            loop=loop,
-            seed=seed,
-        )
-        for ref in refs
-    ]
+    jobs = []
+    for ref in refs:
+        drives = None if driven is None else driven[ref.path]
+        name = _digest(ref.path, every, futures, loop, seed, drives)
+        shard = out / "shards" / f"{name}.npz"
+        jobs.append(_Job(ref, shard, every, futures, loop, seed, drives))
     answers: list[str | None] = []
     with ProcessPoolExecutor(max_workers=workers) as pool:
         for answer in pool.map(_extract_to, jobs, chunksize=4):
@@ -283,6 +288,8 @@ def build_cache(
         why = f"; the first: {left_out['unreadable'][0]}" if left_out["unreadable"] else ""
         raise CacheError(f"no windows in {len(jobs)} recordings{why}")
     made: dict[str, Any] = {"every": every, "loop": loop_name(loop)}
+    if met is not None:
+        made["met"] = str(met)
     return _join(kept, left_out, out, made | ({"futures": futures} if futures > 1 else {}))
 
 
@@ -295,14 +302,31 @@ class _Job(NamedTuple):
     futures: int
     loop: LoopSettings
     seed: int
+    drives: Drives | None
 
 
-def _digest(path: Path, every: int, futures: int, loop: LoopSettings, seed: int) -> str:
+def _by_recording(
+    drives: Mapping[str, Drives], refs: Iterable[ScenarioRef]
+) -> dict[Path, dict[int, list[DrivenPath]]]:
+    """The drives of a run by file: of all of a recording's planning problems together."""
+    found: dict[Path, dict[int, list[DrivenPath]]] = {}
+    for ref in refs:
+        for future, paths in drives.get(ref.id, {}).items():
+            found.setdefault(ref.path, {}).setdefault(future, []).extend(paths)
+    return found
+
+
+def _digest(
+    path: Path, every: int, futures: int, loop: LoopSettings, seed: int, drives: Drives | None
+) -> str:
     """Name of a shard: a digest of what its content depends on."""
     key = sha256(f"{FORMAT} {every} {loop} {seed} {path.name} ".encode())
     key.update(path.read_bytes())
     if futures > 1 and (others := futures_file(path)) is not None:
         key.update(f" {futures} ".encode() + others.read_bytes())
+    for future, paths in sorted((drives or {}).items()):
+        for start, centres in paths:
+            key.update(f" {future} {start} ".encode() + centres.tobytes())
     return key.hexdigest()[:24]
 
 
@@ -341,6 +365,7 @@ def _extract(scenario: Scenario, job: _Job) -> dict[str, npt.NDArray[Any]] | Non
     }
     counts = [0]
     of: list[tuple[int, int]] = []  # Future and step of each scene.
+    others: Counter[int] = Counter()  # Futures beyond 0 that go on by themselves from a step.
     origin = scenario.task.start[:2]
     for number, observation in _watched(scenario, job):
         tracks = scenario.recorded(number)
@@ -349,6 +374,12 @@ def _extract(scenario: Scenario, job: _Job) -> dict[str, npt.NDArray[Any]] | Non
         future, future_valid = _future(observation, tracks, rows)
         if not np.any(future_valid[:, MIN_FUTURE - 1]):
             continue
+        others[observation.step] += number > 0
+        if job.drives is not None:
+            paths = job.drives.get(number, ())
+            future_valid &= are_met(observation.step, tracks, rows, paths)[:, None]
+            if not np.any(future_valid):
+                continue
         of.append((number, observation.step))
         features = describe(observation, pieces)
         parts["pose"].append(features.pose - np.array([*origin, 0.0, 0.0]))
@@ -369,7 +400,7 @@ def _extract(scenario: Scenario, job: _Job) -> dict[str, npt.NDArray[Any]] | Non
     arrays = {name: np.concatenate(part) for name, part in parts.items()}
     arrays["scene_start"] = np.array(counts)
     if job.futures > 1:
-        arrays["scene_weight"] = _weights(of, _taken(scenario, job))
+        arrays["scene_weight"] = _weights(of, others, _taken(scenario, job))
     arrays["piece_shape"] = pieces.shape
     arrays["piece_attributes"] = pieces.attributes
     arrays["piece_pose"] = pieces.pose - np.array([*origin, 0.0])
@@ -411,12 +442,14 @@ def _apart(one: Tracks, other: Tracks) -> npt.NDArray[np.bool_]:
     return np.asarray(np.any(distance > SAME_PLACE, axis=0))
 
 
-def _weights(of: Sequence[tuple[int, int]], futures: int) -> npt.NDArray[np.float64]:
+def _weights(
+    of: Sequence[tuple[int, int]], others: Mapping[int, int], futures: int
+) -> npt.NDArray[np.float64]:
     """(S,) weights of the scenes of a recording, of which future and step are given.
 
-    A future that has no scene at a step goes on as future 0 does, which stands for it as well.
+    A future that is not one of the ``others`` at a step goes on as future 0 does, which stands for
+    it as well.
     """
-    others = Counter(step for number, step in of if number)
     return np.array([(1 if number else futures - others[step]) / futures for number, step in of])
 
 

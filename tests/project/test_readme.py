@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import runpy
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,18 +18,27 @@ ROOT = Path(__file__).parents[2]
 PROOF = ROOT / "results" / "proof"
 
 
-@pytest.mark.parametrize("run", ["suite", "recorded"])
-def test_tables_are_those_of_the_published_runs(run: str) -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    shown = text.split(f"<!-- {run} table: begin -->", 1)[1].split(f"<!-- {run} table: end -->")[0]
-    summary = (ROOT / "results" / run / "summary.md").read_text(encoding="utf-8")
-    first = next(block for block in summary.split("\n\n") if block.startswith("|"))
-    assert shown.strip() == first
+PAGES: dict[str, Any] = runpy.run_path(str(ROOT / "results" / "pages.py"))
+
+
+@pytest.mark.parametrize("page", PAGES["pages"](), ids=lambda page: page.parent.name)
+def test_tables_are_those_of_the_published_runs(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert PAGES["written"](text) == text, "python results/pages.py makes them anew"
+
+
+def test_every_mark_on_a_page_is_one_of_a_table() -> None:
+    names: list[str] = []
+    for page in (ROOT / "README.md", *(ROOT / "results").glob("*/README.md")):
+        text = page.read_text(encoding="utf-8")
+        found = PAGES["MARKS"].findall(text)
+        assert len(found) == text.count(": begin -->") == text.count(": end -->"), page
+        names += [f"{kind} {run}" for _, kind, run, *_ in found]
+    assert {"summary suite", "summary recorded", "paper suite", "proof proof"} <= set(names)
+    assert {"comparison suite", "comparison suite-1", "comparison recorded"} <= set(names)
 
 
 def test_the_proof_is_told_as_it_was_judged() -> None:
-    table = (PROOF / "proof.md").read_text(encoding="utf-8").strip()
-    assert table in (PROOF / "README.md").read_text(encoding="utf-8")
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     cells = json.loads((PROOF / "proof.json").read_text(encoding="utf-8"))["cells"]
     assert len(cells) == 10
@@ -49,9 +60,11 @@ def test_the_proof_is_told_as_it_was_judged() -> None:
     ("run", "n"),
     [
         ("suite", 300),
+        ("suite/realistic", 300),
         ("suite/five-futures", 750),
         ("suite-1", 150),
         ("recorded", 150),
+        ("recorded/realistic", 150),
         *(
             (f"proof/runs/loop={loop},scenarios={scenarios},traffic={traffic}", n)
             for loop in ("late", "realistic")

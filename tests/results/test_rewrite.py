@@ -14,7 +14,8 @@ PUBLISHED = Path(__file__).parents[2] / "results"
 
 
 RUNS = (
-    *("suite", "suite/five-futures", "suite-1", "recorded"),
+    *("suite", "suite/realistic", "suite/five-futures", "suite-1"),
+    *("recorded", "recorded/realistic"),
     *sorted(f"proof/runs/{path.name}" for path in (PUBLISHED / "proof/runs").glob("*/")),
     *sorted(f"frontier/runs/{path.name}" for path in (PUBLISHED / "frontier/runs").glob("*/")),
 )

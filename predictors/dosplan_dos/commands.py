@@ -37,7 +37,7 @@ class TrainCommand:
             "--data",
             type=Path,
             action="append",
-            required=True,
+            default=[],
             metavar="CACHE",
             help="windows to learn from; for calibration, of recordings that the network was not "
             "trained on (repeatable)",
@@ -105,6 +105,8 @@ class TrainCommand:
             raise CommandError(
                 "--unseen is for dos alone; give other trainings the cache as --data"
             )
+        if not options.data + options.unseen:
+            raise CommandError("--data CACHE is needed, or for dos --unseen CACHE")
         if options.init is not None and options.what not in ("net", "dos"):
             raise CommandError(f"--init is for net and dos; {options.what} begins anew")
         torch.set_num_threads(options.threads)

@@ -400,7 +400,7 @@ def train_sets(
     weights = network / f"{NET}.safetensors"
     trajectories: list[Foretold | None] = [None] * len(opened)
     folds: list[Path] = []
-    if training.cross_fitted:
+    if caches and training.cross_fitted:
         trajectories[: len(caches)] = cross_fitted_trajectories(caches, network, device)
         folds = fold_weights(opened[: len(caches)], network)
     sources = {

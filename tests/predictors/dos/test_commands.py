@@ -88,6 +88,9 @@ def test_what_is_missing_is_named(window_cache: Path, tmp_path: Path) -> None:
     with pytest.raises(CommandError, match="absent"):
         train("net", absent, window_cache, tmp_path)
     config.write_text("batch: 16")
+    nothing = ("--config", config, "--validation", window_cache, "--out", tmp_path)
+    with pytest.raises(CommandError, match="--data CACHE is needed, or for dos --unseen CACHE"):
+        run(TRAIN, "dos", *nothing)
     with pytest.raises(CommandError, match="--network DIR is needed"):
         train("lights", config, window_cache, tmp_path)
     with pytest.raises(CommandError, match=r"absent/net\.safetensors: not readable as weights"):
@@ -211,6 +214,10 @@ def test_training_goes_on_from_weights_with_more_windows(
     config.write_text(config.read_text().replace("shares: [1, 1]", "shares: [1]"))
     with pytest.raises(CommandError, match=r"a\.safetensors: was trained with other shares, un"):
         train("dos", config, window_cache, out, "--network", out, "--init", shipped)
+    # Where nothing but unseen windows is learned from, no folds are needed.
+    config.write_text(f"{fit}batch: 16\nmodules: {{a: {{features: 12, hidden: 8}}}}")
+    alone = ("--network", shipped, "--validation", window_cache, "--out", tmp_path / "alone")
+    assert run(TRAIN, "dos", "--config", config, "--unseen", window_cache, *alone) == 0
     config.write_text(f"{fit}shares: [1]\nmodules: {{b: {{features: 12, hidden: 8}}}}")
     with pytest.raises(CommandError, match="shares has 1 entries for 2 caches"):
         train("dos", config, window_cache, out, *more)

@@ -146,12 +146,12 @@ class DosSettings(PredictorSettings):
         """The coverage that the sets are calibrated to; None where they have a scale."""
         if self.coverage is not None or self.scale is not None:
             return self.coverage
-        there = calibration_file(self.sets_file, CalibratedFor.IDEAL).is_file()
-        asked = there or self.conditional or self.simultaneous or self.adaptation > 0.0
-        if not asked:
-            return None
         realistic = self.calibration is CalibratedFor.REALISTIC
-        return DEFAULT_COVERAGE[CalibratedFor.REALISTIC if realistic else CalibratedFor.IDEAL]
+        loop = CalibratedFor.REALISTIC if realistic else CalibratedFor.IDEAL
+        loops = {CalibratedFor.IDEAL, loop}
+        there = any(calibration_file(self.sets_file, one).is_file() for one in loops)
+        asked = there or self.conditional or self.simultaneous or self.adaptation > 0.0
+        return DEFAULT_COVERAGE[loop] if asked else None
 
     def seen_by(self, *, exact: bool) -> Self:
         """Chooses the calibration that is left to the loop."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -125,6 +126,25 @@ def test_a_module_without_a_calibration_for_the_loop_keeps_a_scale_and_no_covera
     assert record(found)["calibration"] == "ideal"
     with pytest.raises(RegistryError, match=r"pr\.realistic\.calibration\.npz: .* loop realistic"):
         create_predictor("dos", 0, {"sets": "pr", "coverage": 0.9}, REALISTIC)
+
+
+def test_a_module_may_be_calibrated_for_the_realistic_loop_alone(tmp_path: Path) -> None:
+    shipped = shipped_sets("coverage")
+    weights = tmp_path / shipped.name
+    shutil.copy(shipped, weights)
+    own, theirs = (calibration_file(x, CalibratedFor.REALISTIC) for x in (weights, shipped))
+    shutil.copy(theirs, own)
+    options: dict[str, object] = {"sets": str(weights)}
+    observation = seen(busy_scenario())
+
+    def semi_axes(loop: LoopSettings, **more: object) -> FloatArray:
+        predictor = create_predictor("dos", 0, options | more, loop)
+        assert (own in predictor.weight_files()) == (loop is REALISTIC)
+        return predictor.predict(observation).semi_axes
+
+    wanted = DEFAULT_COVERAGE[CalibratedFor.REALISTIC]
+    np.testing.assert_array_equal(semi_axes(REALISTIC), semi_axes(REALISTIC, coverage=wanted))
+    np.testing.assert_array_equal(semi_axes(IDEAL), semi_axes(IDEAL, scale=1.0))  # As trained.
 
 
 def test_a_run_hands_its_loop_to_the_predictor(tmp_path: Path) -> None:

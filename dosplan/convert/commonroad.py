@@ -24,7 +24,13 @@ import numpy as np
 
 from dosplan.convert.episodes import RECORDINGS, SCENARIOS, find_episode, problem_of, write
 from dosplan.convert.windows import EGO_KIND, Moment, Track
-from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, parse_scenario
+from dosplan.scenario import (
+    INTERACTIVE,
+    ScenarioError,
+    ScenarioRef,
+    find_scenarios,
+    parse_scenario,
+)
 from dosplan.scenario.commonroad.document import read_document, read_file
 from dosplan.scenario.commonroad.elements import (
     FaultError,
@@ -205,7 +211,8 @@ def _read(path: Path, step_seconds: float | None) -> _Recording:
     # What cannot be driven in shall be told of the file, not of each of its moments.
     text = _text(whole_file)
     content = compress(text) if path.suffix == ".gz" else text
-    parse_scenario(ScenarioRef(path, ""), content, ego_optional=True)
+    if parse_scenario(ScenarioRef(path, ""), content, ego_optional=True).interactive:
+        raise ScenarioError(path, INTERACTIVE)
     return recording
 
 

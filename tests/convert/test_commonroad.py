@@ -188,6 +188,18 @@ def test_a_state_of_before_the_initial_one_is_left_out(tmp_path: Path) -> None:
         assert (figures["unreadable"], figures["recordings"]) == ([], 1)
 
 
+def test_first_states_alone_are_no_recording(tmp_path: Path) -> None:
+    source = write_recording(tmp_path / "a.xml", MOTIONS)
+    tree = ElementTree.parse(source)
+    for obstacle in tree.getroot().iterfind("dynamicObstacle"):
+        begin = int(obstacle.findtext("initialState/time/exact") or "")
+        for time in obstacle.iterfind("trajectory/state/time/exact"):
+            time.text = str(begin - int(time.text or ""))  # All of them before the first one.
+    tree.write(source)
+    with pytest.raises(ScenarioError, match=r"a\.xml: gives the first states of its road users al"):
+        convert_commonroad(source, tmp_path / "out")
+
+
 def test_files_that_cannot_be_used_are_named_and_the_others_converted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

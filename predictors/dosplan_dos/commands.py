@@ -162,7 +162,7 @@ class ExportCommand:
 
         network, sets = options.network, options.sets
         if network is None and not sets:
-            network, sets = shipped_weights(), [DEFAULT_SETS]
+            network, sets = shipped_weights(), list(DEFAULT_SETS.values())
         try:
             jobs = [(model, network) for model in (MAP, SCENE) if network is not None]
             if network is not None and lights_beside(network) is not None:
@@ -207,7 +207,7 @@ def _calibrate_sets(options: argparse.Namespace) -> None:
     from dosplan_dos.training import SetTraining, calibrate_sets
 
     config = read_training(options.config, SetTraining)
-    names = chosen_parts(options.only, config.calibrated)
+    names = chosen_parts(options.only, list(config.modules)) if options.only else config.calibrated
     for told in calibrate_sets(names, options.data, network_folder(options), options.out):
         say(told)
 

@@ -1,4 +1,4 @@
-"""``dos-v5``: dynamic occupancy sets around the trajectories of any predictor."""
+"""``dos-v6``: dynamic occupancy sets around the trajectories of any predictor."""
 
 from __future__ import annotations
 
@@ -40,8 +40,9 @@ from dosplan_dos.sizes import ConditionalSizes, FixedSizes, GroupSizes, Sizes
 if TYPE_CHECKING:
     from dosplan_net.graphs import Graph
 
-DEFAULT_SETS = "union"
-DEFAULT_COVERAGE: Final = {CalibratedFor.IDEAL: 0.9, CalibratedFor.REALISTIC: 0.7}
+DEFAULT_SETS: Final = {CalibratedFor.IDEAL: "union", CalibratedFor.REALISTIC: "union-realistic"}
+"""The module that is used where none is named, by the loop that it is calibrated for."""
+DEFAULT_COVERAGE: Final = {CalibratedFor.IDEAL: 0.9, CalibratedFor.REALISTIC: 0.8}
 """Share of the true centres that the sets cover where nothing else is asked for, by the loop that
 they are calibrated for. Where sensors err, 90 % take so much room that the ego hardly gets past."""
 WEIGHTS: Final = ".safetensors"
@@ -67,7 +68,9 @@ class DosSettings(PredictorSettings):
     Attributes:
         horizon: Number T of steps to predict, at most 40.
         sets: Name of a shipped module (``union``, ``coverage``, ``free``, ``pr`` ...) or a weight
-            file, whose name ends with ``.safetensors``.
+            file, whose name ends with ``.safetensors``. By default ``union``, and
+            ``union-realistic``, which was trained on what a realistic loop sees, where the sets are
+            calibrated for that and no scale is given.
         scale: Factor on the semi-axes that were trained, such as the number of standard deviations
             of ``pr``, in place of a coverage; a module that has no calibration has 1 by default.
         coverage: Share of the true centres that the sets are to cover at each step, in (0, 1); the
@@ -97,7 +100,7 @@ class DosSettings(PredictorSettings):
             them.
     """
 
-    sets: str = DEFAULT_SETS
+    sets: str | None = None
     scale: float | None = None
     coverage: float | None = None
     calibration: CalibratedFor = CalibratedFor.AUTO
@@ -127,7 +130,7 @@ class DosSettings(PredictorSettings):
         if self.base is not None:
             self.check_reach(self.base)
         check_file("network", self.network)
-        if self.sets.endswith(WEIGHTS):
+        if self.sets is not None and self.sets.endswith(WEIGHTS):
             check_file("sets", Path(self.sets))
         if self.threads < 1:
             raise ValueError(f"threads is {self.threads}, expected 1 or more")
@@ -139,7 +142,11 @@ class DosSettings(PredictorSettings):
         Raises:
             ValueError: There is no shipped module of that name.
         """
-        return Path(self.sets) if self.sets.endswith(WEIGHTS) else shipped_sets(self.sets)
+        name = self.sets
+        if name is None:
+            own = self.scale is None and self.calibration is CalibratedFor.REALISTIC
+            name = DEFAULT_SETS[CalibratedFor.REALISTIC if own else CalibratedFor.IDEAL]
+        return Path(name) if name.endswith(WEIGHTS) else shipped_sets(name)
 
     @property
     def level(self) -> float | None:
@@ -157,12 +164,11 @@ class DosSettings(PredictorSettings):
         """Chooses the calibration that is left to the loop."""
         if self.calibration is not CalibratedFor.AUTO:
             return self
-        chosen = CalibratedFor.IDEAL
-        if not exact:
-            there = calibration_file(self.sets_file, CalibratedFor.REALISTIC).is_file()
-            if there or self.coverage is not None:
-                chosen = CalibratedFor.REALISTIC
-        return replace(self, calibration=chosen)
+        realistic = replace(self, calibration=CalibratedFor.REALISTIC)
+        there = calibration_file(realistic.sets_file, CalibratedFor.REALISTIC).is_file()
+        if not exact and (there or self.coverage is not None):
+            return realistic
+        return replace(self, calibration=CalibratedFor.IDEAL)
 
 
 class DosPredictor(Predictor):
@@ -173,7 +179,7 @@ class DosPredictor(Predictor):
     measured with ``dosplan evaluate``. Parked and static road users keep sets of zero.
     """
 
-    name = "dos-v5"
+    name = "dos-v6"
     settings = DosSettings
 
     def __init__(self, *, seed: int = 0, settings: DosSettings = DosSettings()) -> None:

@@ -151,7 +151,7 @@ def test_a_run_hands_its_loop_to_the_predictor(tmp_path: Path) -> None:
     config = RunConfig(out=tmp_path, planner="idm", loop="realistic")
     _, predictor, _ = make_plugins(config)
     ideal, realistic = (
-        calibration_file(shipped_sets(DEFAULT_SETS), loop)
+        calibration_file(shipped_sets(DEFAULT_SETS[loop]), loop)
         for loop in (CalibratedFor.IDEAL, CalibratedFor.REALISTIC)
     )
     assert {ideal, realistic} & set(predictor.weight_files()) == {realistic}

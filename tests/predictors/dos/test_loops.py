@@ -128,6 +128,26 @@ def test_a_module_without_a_calibration_for_the_loop_keeps_a_scale_and_no_covera
         create_predictor("dos", 0, {"sets": "pr", "coverage": 0.9}, REALISTIC)
 
 
+@pytest.mark.parametrize(
+    ("loop", "options", "name"),
+    [
+        (IDEAL, {}, "union"),
+        (REALISTIC, {}, "union-realistic"),
+        (REALISTIC, {"coverage": 0.9, "conditional": True}, "union-realistic"),
+        (REALISTIC, {"sets": "union"}, "union"),
+        (REALISTIC, {"calibration": "ideal"}, "union"),
+        (REALISTIC, {"scale": 0.5}, "union"),  # It has no coverage in the ideal loop to stand for.
+        (LoopSettings(latency=0.3), {}, "union"),
+    ],
+)
+def test_where_sensors_err_the_sets_are_those_that_were_trained_for_it(
+    loop: LoopSettings, options: dict[str, object], name: str
+) -> None:
+    files = set(create_predictor("dos", 0, options, loop).weight_files())
+    both = {shipped_sets(one) for one in DEFAULT_SETS.values()}
+    assert files & both == {shipped_sets(name)}
+
+
 def test_a_module_may_be_calibrated_for_the_realistic_loop_alone(tmp_path: Path) -> None:
     shipped = shipped_sets("coverage")
     weights = tmp_path / shipped.name

@@ -289,7 +289,7 @@ def build_cache(
         raise CacheError(f"no windows in {len(jobs)} recordings{why}")
     made: dict[str, Any] = {"every": every, "loop": loop_name(loop)}
     if met is not None:
-        made["met"] = str(met)
+        made["met"] = met.resolve().name
     return _join(kept, left_out, out, made | ({"futures": futures} if futures > 1 else {}))
 
 

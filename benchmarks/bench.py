@@ -29,7 +29,7 @@ from typing import Any, Final
 from unittest.mock import patch
 
 import numpy as np
-from dosplan_dos.predictor import DEFAULT_SETS, SETS, DosPredictor, DosSettings, shipped_sets
+from dosplan_dos.predictor import SETS, DosPredictor, DosSettings
 from dosplan_mpc.compiled import CompileError, is_whole
 from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.nlp import Guess, MpcProblem, problems
@@ -120,7 +120,7 @@ def main() -> None:
         "road_users": measure_road_users(planner, predictor),
         "horizon_s": measure_horizons(options.planner),
         "lanelets": measure_maps(planner, predictor, load_scenario(refs[0])),
-        "engines": measure_engines(shipped_weights(), shipped_sets(DEFAULT_SETS)),
+        "engines": measure_engines(shipped_weights(), DosSettings().sets_file),
         "compiled": measure_compiled(),
         "startup_ms": {**measure_startup(), "load_scenario": spread(loads)},
         "environment": asdict(describe_environment()),

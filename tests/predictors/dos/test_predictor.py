@@ -191,7 +191,7 @@ def test_a_base_that_predicts_further_is_cut(settings: DosSettings) -> None:
 
 def test_all_files_that_it_uses_are_named(settings: DosSettings, tmp_path: Path) -> None:
     assert settings.network is not None
-    own = (settings.network, Path(settings.sets))
+    own = (settings.network, settings.sets_file)
     assert DosPredictor(settings=settings).weight_files() == own
     other = save_network(tmp_path / "other.safetensors")
     base: PluginSpec[Predictor] = PluginSpec(NetPredictor, NetSettings(weights=other))

@@ -253,7 +253,7 @@ def test_a_shard_holds_its_arrays_and_nothing_else(
     monkeypatch.setattr(np, "savez", noted)
     # The processes of a build do not see what is patched here.
     ref = find_scenarios(recordings / f"{CACHED[0]}.xml.gz")[0]
-    job = _Job(ref, tmp_path / "shard.npz", EVERY, 1, IDEAL, 0)
+    job = _Job(ref, tmp_path / "shard.npz", EVERY, 1, IDEAL, 0, None)
     assert _extract_to(job) is None
     with np.load(job.shard, allow_pickle=False) as content:
         assert given == [set(content.files)]

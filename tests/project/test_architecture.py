@@ -44,6 +44,7 @@ PLUGINS_MAY_IMPORT: Final = {
     "scenario": "*/training/*, */measure.py, traffic/dosplan_sumo/*",
     "simulation.world": "*/training/*, */measure.py", "simulation.settings": "*/training/*",
     "evaluation.groups": "*/training/*, */calibration.py, */calibrating.py",
+    "evaluation.met": "*/training/*",
     # What a traffic is.
     "simulation.traffic": "traffic/*",
 }  # fmt: skip

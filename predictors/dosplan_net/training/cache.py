@@ -25,6 +25,7 @@ import torch
 from torch import Tensor
 
 from dosplan.evaluation.groups import SIMULATED
+from dosplan.evaluation.met import DrivenPath, Drives, are_met, read_drives
 from dosplan.geometry import to_body, wrap_angle
 from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios, load_recording
 from dosplan.scenario.futures import with_futures
@@ -36,7 +37,6 @@ from dosplan.system.files import write_json
 from dosplan.types import Observation, Scenario, Tracks
 from dosplan_net.features import HISTORY, HORIZON, cut_map, describe
 from dosplan_net.lights import LIGHT_SIZE, describe_lights, find_lights
-from dosplan_net.training.met import DrivenPath, Drives, are_met, read_drives
 
 FORMAT: Final = 2
 SEVERAL: Final = 3
@@ -377,7 +377,7 @@ def _extract(scenario: Scenario, job: _Job) -> dict[str, npt.NDArray[Any]] | Non
         others[observation.step] += number > 0
         if job.drives is not None:
             paths = job.drives.get(number, ())
-            future_valid &= are_met(observation.step, tracks, rows, paths)[:, None]
+            future_valid &= are_met(observation.step, HORIZON, tracks, rows, paths)[:, None]
             if not np.any(future_valid):
                 continue
         of.append((number, observation.step))

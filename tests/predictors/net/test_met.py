@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from dosplan_net.features import HORIZON
 from dosplan_net.training.cache import CacheError, WindowCache, build_cache
-from dosplan_net.training.met import read_drives
 
 from dosplan.cli.main import main
+from dosplan.evaluation.met import read_drives
 from dosplan.results.folder import RunFolder
 from dosplan.running.config import RunConfig
 from dosplan.scenario import load_scenario

@@ -1,4 +1,4 @@
-"""Which road users the ego of a run met: training on what a planner pays for.
+"""Which road users the ego of a run met: for trainings on what a planner pays for.
 
 Windows of recordings count a car at the far end of the map like the one that cuts in. A run says
 whom an ego came near, and when.
@@ -19,7 +19,6 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.rows import read_run
 from dosplan.system.files import FileError
 from dosplan.types import BoolArray, FloatArray, IntArray, Tracks
-from dosplan_net.features import HORIZON
 
 
 class DrivenPath(NamedTuple):
@@ -67,11 +66,14 @@ def read_drives(run: Path) -> dict[str, Drives]:
     return {name: dict(drives) for name, drives in found.items()}
 
 
-def are_met(step: int, tracks: Tracks, rows: IntArray, paths: Sequence[DrivenPath]) -> BoolArray:
+def are_met(
+    step: int, horizon: int, tracks: Tracks, rows: IntArray, paths: Sequence[DrivenPath]
+) -> BoolArray:
     """Whose way an ego shares, now or within the horizon.
 
     Args:
         step: The present step.
+        horizon: Number of steps after it.
         tracks: The road users of the future that was driven.
         rows: (N,) those that are asked about.
         paths: Drives in that future.
@@ -83,7 +85,7 @@ def are_met(step: int, tracks: Tracks, rows: IntArray, paths: Sequence[DrivenPat
     met = np.zeros(len(rows), dtype=np.bool_)
     for path in paths:
         first = max(step, path.start)
-        last = min(step + HORIZON, path.start + len(path.centres) - 1, tracks.steps - 1)
+        last = min(step + horizon, path.start + len(path.centres) - 1, tracks.steps - 1)
         if path.start > step or first > last:
             continue
         steps = np.arange(first, last + 1)

@@ -15,7 +15,7 @@ from typing import Final
 
 from dosplan.results.comparison import compare_runs
 from dosplan.results.intervals import metric_interval
-from dosplan.results.markdown import markdown
+from dosplan.results.markdown import interval_text, markdown
 from dosplan.results.rows import read_rows
 from dosplan.results.table import make_table
 from dosplan.results.table_text import block_cells
@@ -27,20 +27,20 @@ RESULTS: Final = Path(__file__).parent
 MARKS: Final = re.compile(r"(<!-- (\w+) ([\w/-]+): begin -->\n).*?(<!-- \2 \3: end -->)", re.DOTALL)
 
 COMPARED: Final = {
-    "success": ("success, %", 100.0, 1),
-    "collision": ("collision, %", 100.0, 1),
-    "at_fault_collision": ("at-fault collision, %", 100.0, 1),
-    "out_of_bounds": ("out of bounds, %", 100.0, 1),
-    "goal_missed": ("goal missed, %", 100.0, 1),
-    "velocity": ("velocity, m/s", 1.0, 2),
-    "nuplan_score": ("nuPlan's score, %", 100.0, 1),
-    "comfortable": ("comfortable, %", 100.0, 1),
-    "time_over_limit": ("time above the limit, %", 100.0, 1),
-    "min_time_to_collision": ("smallest time to collision, s", 1.0, 2),
-    "max_abs_acceleration": ("largest acceleration, m/s²", 1.0, 2),
-    "max_abs_jerk": ("largest jerk, m/s³", 1.0, 2),
+    "success": "success, %",
+    "collision": "collision, %",
+    "at_fault_collision": "at-fault collision, %",
+    "out_of_bounds": "out of bounds, %",
+    "goal_missed": "goal missed, %",
+    "velocity": "velocity, m/s",
+    "nuplan_score": "nuPlan's score, %",
+    "comfortable": "comfortable, %",
+    "time_over_limit": "time above the limit, %",
+    "min_time_to_collision": "smallest time to collision, s",
+    "max_abs_acceleration": "largest acceleration, m/s²",
+    "max_abs_jerk": "largest jerk, m/s³",
 }
-"""Metrics of a comparison: how they are called there, the scale, and decimal places."""
+"""Metrics of a comparison, and how they are called there."""
 
 PAPER: Final = (
     ("the paper, its Table 4", "without", "150", "90.0", "10.0", "0.0", "5.47"),
@@ -49,8 +49,8 @@ PAPER: Final = (
 PAPER_HEADER: Final = (
     "replay", "sets", "n", "success (safe), %", "collision, %", "out of bounds, %", "velocity, m/s",
 )  # fmt: skip
-PAPER_COLUMNS: Final = {"safe": 1, "collision": 1, "out_of_bounds": 1, "velocity": 2}
-"""Metrics of the paper's columns, and decimal places."""
+PAPER_COLUMNS: Final = ("safe", "collision", "out_of_bounds", "velocity")
+"""Metrics of the paper's columns."""
 BESIDE_THE_PAPER: Final = {
     "suite, two futures each, ideal loop": "suite",
     "suite, two futures each, realistic loop": "suite/realistic",
@@ -95,20 +95,14 @@ def comparison(run: str) -> str:
     """
     (found,) = compare_runs([str(RESULTS / run)])
     lines = []
-    for name, (label, scale, digits) in COMPARED.items():
-        one = found.differences[name]
-        a, b = (_scaled(x, scale, f".{digits}f") for x in (one.a, one.b))
-        ends = (one.difference, one.low, one.high)
-        change, low, high = (_scaled(x, scale, f"+.{digits}f") for x in ends)
-        p = "" if one.p is None else _p(one.p)
+    for name, label in COMPARED.items():
+        metric, one = find_metric(name), found.differences[name]
+        figures = (metric.shown(one.a), metric.shown(one.b), metric.shown(one.difference, "+"))
         counts = "" if one.only_a is None else f"{one.only_b} / {one.only_a}"
-        lines.append((label, a, b, change, f"{low} to {high}", counts, p))
+        p = "" if one.p is None else _p(one.p)
+        lines.append((label, *figures, interval_text(metric, one), counts, p))
     header = ("", "without", "with", "difference", "95 % interval", "only with / only without", "p")
     return markdown(header, lines)
-
-
-def _scaled(value: float | None, scale: float, spec: str) -> str:
-    return "" if value is None else format(scale * value, spec)
 
 
 def _p(p: float) -> str:
@@ -135,11 +129,11 @@ def paper(_: str) -> str:
 
 
 def _with_intervals(rows: list[Score]) -> Iterator[str]:
-    for name, digits in PAPER_COLUMNS.items():
-        found = metric_interval(find_metric(name), rows)
+    for name in PAPER_COLUMNS:
+        metric = find_metric(name)
+        found = metric_interval(metric, rows)
         assert found is not None
-        scale = 1.0 if name == "velocity" else 100.0
-        value, low, high = (f"{scale * x:.{digits}f}" for x in (found.value, found.low, found.high))
+        value, low, high = (metric.shown(x) for x in (found.value, found.low, found.high))
         yield f"{value} [{low}, {high}]"
 
 

@@ -150,10 +150,9 @@ class PassingDecision:
         return found
 
     def _blocked(self, observation: Observation, ego: EgoOnPath) -> Pass | None:
-        """The first stretch ahead that is blocked, where it can be passed.
+        """The first stretch ahead that is blocked, if the lane against the path leads round it.
 
-        That over the lane against the path. What is being passed is so until the ego is back on its
-        own lane.
+        A stretch that is being passed is the first one until the ego is back on its own lane.
         """
         settings, vehicle = self._settings, self._vehicle
         margin = 0.5 * vehicle.length

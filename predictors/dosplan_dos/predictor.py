@@ -144,8 +144,7 @@ class DosSettings(PredictorSettings):
         """
         name = self.sets
         if name is None:
-            own = self.scale is None and self.calibration is CalibratedFor.REALISTIC
-            name = DEFAULT_SETS[CalibratedFor.REALISTIC if own else CalibratedFor.IDEAL]
+            name = DEFAULT_SETS[CalibratedFor.IDEAL if self.scale is not None else self._loop]
         return Path(name) if name.endswith(WEIGHTS) else shipped_sets(name)
 
     @property
@@ -153,12 +152,16 @@ class DosSettings(PredictorSettings):
         """The coverage that the sets are calibrated to; None where they have a scale."""
         if self.coverage is not None or self.scale is not None:
             return self.coverage
-        realistic = self.calibration is CalibratedFor.REALISTIC
-        loop = CalibratedFor.REALISTIC if realistic else CalibratedFor.IDEAL
-        loops = {CalibratedFor.IDEAL, loop}
+        loops = {CalibratedFor.IDEAL, self._loop}
         there = any(calibration_file(self.sets_file, one).is_file() for one in loops)
         asked = there or self.conditional or self.simultaneous or self.adaptation > 0.0
-        return DEFAULT_COVERAGE[loop] if asked else None
+        return DEFAULT_COVERAGE[self._loop] if asked else None
+
+    @property
+    def _loop(self) -> CalibratedFor:
+        """The loop that the sets are calibrated for; the ideal one where nobody has chosen yet."""
+        left = self.calibration is CalibratedFor.AUTO
+        return CalibratedFor.IDEAL if left else self.calibration
 
     def seen_by(self, *, exact: bool) -> Self:
         """Chooses the calibration that is left to the loop."""

@@ -83,6 +83,8 @@ WEIGHTS: Final[Mapping[str, float]] = MappingProxyType(
         "prediction": 200.0,
     }
 )
+BATCH: Final = 8
+"""How many trajectories are checked for collisions at once."""
 STOP_WEIGHT: Final = 5.0
 """How many times as much the velocity counts where it has to stop. Planned anew at every step, its
 trajectories of 1.1 s and more brake late for a wall."""
@@ -158,8 +160,7 @@ class FrenetixPlanner(Peer):
         obstacles = [swept(o) for o in moving_rectangles(occupancy, observation.step, steps)]
         if stop is not None:
             obstacles.append(wall(stop, observation.step, steps))
-        free = (s for s in feasible if self._is_free(s, observation.step, obstacles))
-        if (best := next(free, None)) is not None:
+        if (best := self._first_free(feasible, observation.step, obstacles)) is not None:
             return self._trajectory(best)
         if velocity <= STANDSTILL:
             whole = frenetix.PlannerState(state, start, self._vehicle.wheelbase)
@@ -231,21 +232,32 @@ class FrenetixPlanner(Peer):
         way = self._line.project(goal.region.centroid) - self._line.project(Point(centre))
         return _near(way / time, velocity)
 
-    def _is_free(self, sample: Any, step: int, obstacles: list[Any]) -> bool:
-        """Whether a trajectory keeps clear of the obstacles and of the road's edge."""
+    def _first_free(self, samples: list[Any], step: int, obstacles: list[Any]) -> Any | None:
+        """The first trajectory that clears the obstacles and the road's edge, or None."""
+        for first in range(0, len(samples), BATCH):
+            batch = samples[first : first + BATCH]
+            egos = [self._swept(sample, step) for sample in batch]
+            hits = trajectory_queries.trajectories_collision_dynamic_obstacles(
+                egos, obstacles, **GRID
+            )
+            struck = {i for i, hit in enumerate(hits) if hit != -1}  # No hits without obstacles.
+            clear = [i for i in range(len(batch)) if i not in struck]
+            leaves = trajectory_queries.trajectories_collision_static_obstacles(
+                [egos[i] for i in clear], self._road, **GRID, auto_orientation=True
+            )
+            for i, leaf in zip(clear, leaves, strict=True):
+                if leaf == -1:
+                    return batch[i]
+        return None
+
+    def _swept(self, sample: Any, step: int) -> Any:
+        """What the ego sweeps on a trajectory, as an object of CommonRoad's collision checker."""
         heading = sample.cartesian.theta
         rear = np.stack([sample.cartesian.x, sample.cartesian.y], axis=-1)
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         centre = rear + self._vehicle.rear_to_centre * ahead
         size = np.broadcast_to(self._vehicle.size, centre.shape)
-        ego = [swept(time_variant(centre, heading, size, step))]
-        hits = trajectory_queries.trajectories_collision_dynamic_obstacles(ego, obstacles, **GRID)
-        if any(hit != -1 for hit in hits):
-            return False
-        leaves = trajectory_queries.trajectories_collision_static_obstacles(
-            ego, self._road, **GRID, auto_orientation=True
-        )
-        return bool(leaves[0] == -1)
+        return swept(time_variant(centre, heading, size, step))
 
     def _trajectory(self, sample: Any, fallback: str | None = None) -> Trajectory:
         found, along = sample.cartesian, sample.curvilinear

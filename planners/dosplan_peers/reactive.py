@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -176,7 +177,7 @@ class CommonRoadReactivePlanner(Peer):
         self._planner.reset(
             initial_state_cart=_state(ego, observation.step, acceleration, self._vehicle),
             initial_state_curv=None if frenet is None else (frenet[:3], frenet[3:]),
-            collision_checker=checker,
+            collision_checker=_Slices(checker),
             coordinate_system=self._frame,
         )
         # At a velocity of zero, it would take the one of the planning problem in place of this one.
@@ -184,6 +185,21 @@ class CommonRoadReactivePlanner(Peer):
             min(self._desired_velocity, limit), current_speed=max(float(ego[EGO_VELOCITY]), _MOVES)
         )
         return self._planner.plan()
+
+
+class _Slices:
+    """A collision checker that cuts each step once.
+
+    The planner asks for the obstacles of a step anew for every pose of every sample, which takes
+    more time than the check itself.
+    """
+
+    def __init__(self, checker: Any) -> None:
+        self._at = cache(checker.time_slice)
+
+    def time_slice(self, step: int) -> Any:
+        """The obstacles at a step, as a ``pycrcc.CollisionChecker``."""
+        return self._at(step)
 
 
 def _vehicle(vehicle: VehicleParameters) -> rp.VehicleConfiguration:

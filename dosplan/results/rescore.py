@@ -1,8 +1,9 @@
 """Scores a run again: from its episode files and its scenario files, without driving.
 
-The rows come out as they were to the last digit where scoring and scenarios are the same, on the
-same machine with the same libraries. An episode that failed before it had a file, or that is
-unusable, has nothing to be scored, and keeps its row.
+The rows come out as they were where scoring and scenarios are the same: to the last digit on the
+same machine with the same libraries, and to the rounding of the last digits on another one, which
+is no difference. An episode that failed before it had a file, or that is unusable, has nothing to
+be scored, and keeps its row.
 
 Files of versions before 0.5 hold cycle times and slacks in single precision: those columns keep
 the values of the row.
@@ -10,6 +11,7 @@ the values of the row.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -28,6 +30,9 @@ from dosplan.system.errors import one_line
 from dosplan.system.files import FileError, write_text
 from dosplan.types import EpisodeKey, Score
 
+_ROUNDING: Final = 1e-9
+"""Relative and absolute: processors and versions of numpy round sums in their last digits in ways
+of their own."""
 _INEXACT: Final = ("cycle_ms_p50", "cycle_ms_p99")
 _INEXACT_MEASURES: Final = ("max_slack", "slack_cycles", "max_road_slack")
 
@@ -53,7 +58,7 @@ class Rescored:
         folder: The run folder.
         manifest: Its ``run.json``.
         rows: Its rows as they are now, in their order.
-        changes: Those that came out differently.
+        changes: Those that came out differently, by more than rounding.
         kept: How many rows were kept, as nothing was driven of their episodes.
     """
 
@@ -98,8 +103,9 @@ def rescore(path: Path, source: Source | None = None) -> Rescored:
         for row, drive in drives_of(folder, list(rows), scenarios):
             kept += drive is None
             now.append(row if drive is None else _scored(drive))
-    changes = [_change(*pair) for pair in zip(before, now, strict=True) if pair[0] != pair[1]]
-    return Rescored(folder, manifest, tuple(now), tuple(changes), kept)
+    pairs = (_change(*pair) for pair in zip(before, now, strict=True) if pair[0] != pair[1])
+    changes = tuple(change for change in pairs if change.columns)
+    return Rescored(folder, manifest, tuple(now), changes, kept)
 
 
 def _scored(drive: Drive) -> Score:
@@ -122,9 +128,15 @@ def _change(before: Score, now: Score) -> RowChange:
     columns = {
         name: (old.get(name), new.get(name))
         for name in {**old, **new}
-        if old.get(name) != new.get(name)
+        if not _agree(old.get(name), new.get(name))
     }
     return RowChange(now.key, columns)
+
+
+def _agree(before: Any, now: Any) -> bool:
+    if isinstance(before, float) and isinstance(now, float):
+        return math.isclose(before, now, rel_tol=_ROUNDING, abs_tol=_ROUNDING)
+    return bool(before == now)
 
 
 def change_lines(changes: Sequence[RowChange]) -> list[str]:

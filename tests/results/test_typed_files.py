@@ -16,6 +16,7 @@ from dosplan.results.summary import read_summary, write_summary
 from dosplan.scoring.score import failed_score
 from dosplan.system.files import FileError, read_json
 from dosplan.types import Arm, EpisodeKey, Outcome
+from tests.support.close import assert_close
 
 PUBLISHED = Path(__file__).parents[2] / "results"
 
@@ -33,7 +34,7 @@ def test_a_published_run_opens_and_is_written_back_as_it_was(name: str, tmp_path
         assert figures["success_rate"] == sum(r.outcome is Outcome.SUCCESS for r in mine) / 150
     assert summary.comparison is not None
     a, b = ([row for row in rows if row.arm is arm] for arm in (Arm.WITHOUT_DOS, Arm.WITH_DOS))
-    assert summary.comparison == compare_rows(a, b, "without_dos", "with_dos")
+    assert_close(compare_rows(a, b, "without_dos", "with_dos"), summary.comparison)
     copy = RunFolder(tmp_path)
     write_summary(copy, summary)
     assert read_json(copy.summary) == read_json(published.summary)

@@ -21,13 +21,15 @@ class Style:
     Attributes:
         lateral: At which curves are taken, m/s2.
         longitudinal: At which the speed changes, m/s2.
+        comfort: Share of what jerk and uncomfortable accelerations cost that counts.
     """
 
     lateral: float
     longitudinal: float
+    comfort: float
 
     def __post_init__(self) -> None:
-        check_numbers(self, positive={"lateral", "longitudinal"})
+        check_numbers(self, positive={"lateral", "longitudinal"}, shares={"comfort"})
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,7 @@ class SpeedSettings:
         crawl: Reference speed below which an ego that is too early for a goal waits for it, m/s.
         waiting: Factor of ``station_weight`` while waiting, so that the ego does not roll beyond
             the region's end.
+        waiting_comfort: Share of what discomfort costs that counts at most while waiting.
         velocity_margin: Share of a goal's velocity window that is kept from both its ends.
         approach_seconds: Time of driving over which the goal's offset is taken up, s.
         shortest_approach: Shortest way over which it is, m.
@@ -131,6 +134,7 @@ class SpeedSettings:
     depth_share: float = 0.3
     crawl: float = 1.0
     waiting: float = 20.0
+    waiting_comfort: float = 0.5
     velocity_margin: float = 0.15
     approach_seconds: float = 3.0
     shortest_approach: float = 10.0
@@ -384,13 +388,17 @@ class ComfortSettings:
         speeding: Acceleration, m/s2.
         braking: Deceleration, m/s2.
         lateral: Lateral acceleration, m/s2.
-        weight: What the square of the excess costs, s4/m2.
+        speeding_weight: What the square of the excess of each costs, s4/m2.
+        braking_weight: Likewise.
+        lateral_weight: Likewise.
     """
 
-    speeding: float = 2.1
+    speeding: float = 1.8
     braking: float = 3.6
-    lateral: float = 4.2
-    weight: float = 1.0
+    lateral: float = 4.0
+    speeding_weight: float = 10.0
+    braking_weight: float = 1.0
+    lateral_weight: float = 10.0
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -435,7 +443,7 @@ class MpcConfig(DeadlineSettings):
         steering_weight: Cost of steering other than the path's own, 1/rad2.
         steering_rate_weight: Cost of the steering rate, s2/rad2.
         acceleration_weight: Cost of the acceleration, s4/m2.
-        jerk_weight: Cost of the change of acceleration, s6/m2.
+        jerk_weight: Cost of the change of acceleration, s6/m2, of which the style's share counts.
         set_penalty: Exact penalty on entering a set, per unit of normalised distance.
         far_penalty: Share of it that counts at the last step; linear between.
         road_penalty: Exact penalty on leaving the road, 1/m.
@@ -480,7 +488,7 @@ class MpcConfig(DeadlineSettings):
     steering_weight: float = 1.0
     steering_rate_weight: float = 1.0
     acceleration_weight: float = 0.09
-    jerk_weight: float = 0.01
+    jerk_weight: float = 0.1
     set_penalty: float = 2000.0
     far_penalty: float = 0.1
     road_penalty: float = 5000.0
@@ -488,9 +496,9 @@ class MpcConfig(DeadlineSettings):
     norm_rounding: float = 1e-4
     clearance: float = 0.15
     road_margin: float = 0.05
-    calm: Style = Style(lateral=4.0, longitudinal=2.0)
-    hurried: Style = Style(lateral=7.0, longitudinal=5.0)
-    utmost: Style = Style(lateral=9.0, longitudinal=8.0)
+    calm: Style = Style(lateral=4.0, longitudinal=2.0, comfort=1.0)
+    hurried: Style = Style(lateral=7.0, longitudinal=5.0, comfort=0.2)
+    utmost: Style = Style(lateral=9.0, longitudinal=8.0, comfort=0.1)
     grip: float = 0.9
     resample_every: int = 5
     max_iterations: int = 30

@@ -499,6 +499,7 @@ class MpcEpisode:
             station_weight=profile.station_weight,
             heading=profile.heading,
             heading_weight=profile.heading_weight,
+            comfort=profile.comfort,
         )
 
 

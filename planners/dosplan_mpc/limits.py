@@ -36,21 +36,27 @@ def half_width(config: MpcConfig, vehicle: VehicleParameters) -> float:
 
 
 def discomfort(
-    comfort: ComfortSettings, along: Any, lateral: Any, maximum: Callable[[Any, float], Any]
+    comfort: ComfortSettings,
+    along: Any,
+    lateral: Any,
+    share: Any,
+    maximum: Callable[[Any, float], Any],
 ) -> Any:
-    """How far accelerations exceed what is comfortable: of arrays, or of CasADi's expressions.
+    """What accelerations beyond what is comfortable cost: of arrays, or of CasADi's expressions.
 
     Args:
         comfort: From where on they do.
         along: Acceleration along the way, m/s2.
         lateral: Acceleration across it, m/s2.
+        share: How much of the price counts, but for braking: a style may be in a hurry, and braking
+            is for safety in each.
         maximum: The larger one of two, element by element: NumPy's or CasADi's function.
 
     Returns:
-        Sum of the squares of what is too much, m2/s4.
+        Weighted sum of the squares of what is too much.
     """
     return (
-        maximum(along - comfort.speeding, 0.0) ** 2
-        + maximum(-along - comfort.braking, 0.0) ** 2
-        + maximum(abs(lateral) - comfort.lateral, 0.0) ** 2
+        share * comfort.speeding_weight * maximum(along - comfort.speeding, 0.0) ** 2
+        + comfort.braking_weight * maximum(-along - comfort.braking, 0.0) ** 2
+        + share * comfort.lateral_weight * maximum(abs(lateral) - comfort.lateral, 0.0) ** 2
     )

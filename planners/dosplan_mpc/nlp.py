@@ -301,7 +301,7 @@ def _graph(
         input_limits = []
         if k < last:
             decisions.append(inputs[k])
-            reached, input_cost, limits = drives[spans[k]](x, inputs[k])
+            reached, input_cost, limits = drives[spans[k]](x, inputs[k], parameters[:, k])
             equations.append((states[k + 1] - reached, True))
             input_limits.append(limits)
             cost += spans[k] * input_cost

@@ -428,7 +428,7 @@ class Sampler:
         acceleration = states[:, 1:, PREVIOUS_ACCELERATION]
         cost = self._tracking_cost(candidates, profile)[:, 1:].sum(axis=1)
         cost += 0.5 * config.acceleration_weight * (acceleration**2).sum(axis=1)
-        cost += 0.5 * config.comfort.weight * self._discomfort(states)[:, 1:].sum(axis=1)
+        cost += 0.5 * self._discomfort(states, profile)[:, 1:].sum(axis=1)
         outside = self._outside(candidates, profile, off_road)
         outside = outside + config.sampler.slip_penalty * self._slip(states)
         cost += config.road_penalty * outside[:, 1:].sum(axis=1)
@@ -461,13 +461,14 @@ class Sampler:
         outside = np.maximum(off_road, middle - profile.left)
         return np.asarray(np.maximum(outside, profile.right - middle))
 
-    def _discomfort(self, states: FloatArray) -> FloatArray:
-        """(C, N + 1) squares by which accelerations exceed what is comfortable, m2/s4."""
+    def _discomfort(self, states: FloatArray, profile: SpeedProfile) -> FloatArray:
+        """(C, N + 1) cost of accelerations beyond what is comfortable."""
         along = states[..., PREVIOUS_ACCELERATION]
         lateral = self._vehicle.lateral_acceleration(
             states[..., EGO_VELOCITY], states[..., EGO_STEERING]
         )
-        return np.asarray(discomfort(self._config.comfort, along, lateral, np.maximum))
+        comfort, share = self._config.comfort, profile.comfort
+        return np.asarray(discomfort(comfort, along, lateral, share, np.maximum))
 
     def _slip(self, states: FloatArray) -> FloatArray:
         """(C, N + 1) lateral acceleration beyond the friction circle, as a share of its radius."""

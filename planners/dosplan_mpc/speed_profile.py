@@ -42,6 +42,7 @@ class SpeedProfile:
         left: (N + 1,) left edge, m; inf without one.
         heading: (N + 1,) heading that a goal asks for, rad.
         heading_weight: (N + 1,) what another heading costs, 1/rad2.
+        comfort: (N + 1,) share of what discomfort costs that counts.
     """
 
     velocity: FloatArray
@@ -52,6 +53,7 @@ class SpeedProfile:
     left: FloatArray
     heading: FloatArray
     heading_weight: FloatArray
+    comfort: FloatArray
 
     def at(self, steps: IntArray) -> SpeedProfile:
         """The reference of some steps.
@@ -223,18 +225,22 @@ class SpeedPlanner:
         )
         velocity = self._velocity(window, ego, limit, target, waiting)
         stopping = None if stop is None else self._stopping(ego, velocity, stop)
-        held = waiting
-        if stopping is not None:
-            held = waiting or bool(np.any(stopping < velocity))
-            velocity = stopping
+        stops = stopping is not None and bool(np.any(stopping < velocity))
+        held = waiting or stops
+        velocity = velocity if stopping is None else stopping
         arclength = self._stations(ego.position, velocity)
         weight = self._config.station_weight * (self._config.speed.waiting if held else 1.0)
         weights = np.full(len(self._steps), weight)
+        comfort = limit.style.comfort
+        if waiting:
+            comfort = min(comfort, self._config.speed.waiting_comfort)
+        if stops:
+            comfort = min(comfort, self._config.utmost.comfort)
         if window is None:
-            profile = _without_goal(velocity, arclength)
+            profile = _without_goal(velocity, arclength, comfort)
             return replace(profile, station_weight=weights) if held else profile
         profile = replace(
-            _without_goal(velocity, arclength),
+            _without_goal(velocity, arclength, comfort),
             station_weight=weights,
             offset=self._offset(window, arclength, max(ego.velocity, target)),
         )
@@ -476,7 +482,7 @@ class SpeedPlanner:
         return np.asarray(position + np.concatenate([[0.0], way]))
 
 
-def _without_goal(velocity: FloatArray, arclength: FloatArray) -> SpeedProfile:
+def _without_goal(velocity: FloatArray, arclength: FloatArray, comfort: float) -> SpeedProfile:
     zero = np.zeros(len(velocity))
     return SpeedProfile(
         velocity=velocity,
@@ -487,6 +493,7 @@ def _without_goal(velocity: FloatArray, arclength: FloatArray) -> SpeedProfile:
         left=np.full_like(zero, np.inf),
         heading=zero,
         heading_weight=zero,
+        comfort=np.full_like(zero, comfort),
     )
 
 

@@ -75,6 +75,7 @@ class Reference(NamedTuple):
         station_weight: (...) 1/m2.
         heading: (...) heading that a goal asks for, rad.
         heading_weight: (...) 1/rad2.
+        comfort: (...) share of what jerk and uncomfortable accelerations cost that counts.
     """
 
     path: Any
@@ -84,6 +85,7 @@ class Reference(NamedTuple):
     station_weight: Any
     heading: Any
     heading_weight: Any
+    comfort: Any
 
 
 class Edge(NamedTuple):
@@ -131,7 +133,14 @@ class Slot(NamedTuple):
 
 # Number of parameters of each part, in their order; both sides are made from these.
 _REFERENCE: Final = Reference(
-    path=PATH_SIZE, velocity=1, offset=1, station=1, station_weight=1, heading=1, heading_weight=1
+    path=PATH_SIZE,
+    velocity=1,
+    offset=1,
+    station=1,
+    station_weight=1,
+    heading=1,
+    heading_weight=1,
+    comfort=1,
 )
 _EDGE: Final = Edge(line=PATH_SIZE, bound=1, ahead=1)
 _SLOT: Final = Slot(centre=2, first_row=2, second_row=2, penalty=1)
@@ -228,12 +237,15 @@ def input_stage(config: MpcConfig, vehicle: VehicleParameters, dt: float) -> Any
         dt: Time to the next stage, s.
 
     Returns:
-        A CasADi function of state (6) and input (2): next state (6), cost, limits as ``h >= 0``.
+        A CasADi function of state (6), input (2) and the stage's parameters: next state (6), cost,
+        limits as ``h >= 0``.
     """
     x, u = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("u", INPUT_SIZE)
+    p = ca.SX.sym("p", stage_size(config))
+    reference, _, _ = unpack_stage(p, config.slots)
     limits = ca.vertcat(*_input_constraints(config, vehicle, x, u))
-    result = [_transition(vehicle, x, u, dt), _input_cost(config, vehicle, x, u, dt), limits]
-    return ca.Function("input_stage", [x, u], result)
+    cost = _input_cost(config, vehicle, x, u, dt, reference.comfort)
+    return ca.Function("input_stage", [x, u, p], [_transition(vehicle, x, u, dt), cost, limits])
 
 
 def state_stage(config: MpcConfig, vehicle: VehicleParameters) -> Any:
@@ -308,14 +320,15 @@ def _state_cost(config: MpcConfig, vehicle: VehicleParameters, x: Any, reference
     )
 
 
-def _input_cost(config: MpcConfig, vehicle: VehicleParameters, x: Any, u: Any, dt: float) -> Any:
+def _input_cost(
+    config: MpcConfig, vehicle: VehicleParameters, x: Any, u: Any, dt: float, comfort: Any
+) -> Any:
     acceleration, lateral = u[ACCELERATION], _lateral_acceleration(vehicle, x)
-    beyond = discomfort(config.comfort, acceleration, lateral, ca.fmax)
     return 0.5 * (
         config.steering_rate_weight * u[STEERING_RATE] ** 2
         + config.acceleration_weight * acceleration**2
-        + config.jerk_weight * ((acceleration - x[PREVIOUS_ACCELERATION]) / dt) ** 2
-        + config.comfort.weight * beyond
+        + comfort * config.jerk_weight * ((acceleration - x[PREVIOUS_ACCELERATION]) / dt) ** 2
+        + discomfort(config.comfort, acceleration, lateral, comfort, ca.fmax)
     )
 
 

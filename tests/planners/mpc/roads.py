@@ -36,6 +36,7 @@ def straight_stages(
             station_weight=zero,
             heading=zero,
             heading_weight=zero,
+            comfort=np.ones(len(x)),
         ),
         stations=Station(
             right=Edge(_along_x(x[:, None] + ahead), np.full((len(x), STATIONS), -right), ahead),

@@ -163,6 +163,7 @@ class Decider:
             left=np.full(31, np.inf),
             heading=np.zeros(31),
             heading_weight=np.zeros(31),
+            comfort=np.ones(31),
         )
         return observation, occupancy, place, profile
 

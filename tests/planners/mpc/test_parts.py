@@ -419,6 +419,23 @@ def test_a_line_that_does_not_bind_lets_the_ego_wait_in_its_goal() -> None:
     np.testing.assert_array_equal(before_a_line.station_weight, alone.station_weight)
 
 
+def test_comfort_counts_less_for_who_stops_waits_or_is_late() -> None:
+    path = path_of(straight_route())
+    free = speed_planner(path).plan(at(20.0, 10.0), FREE, None)
+    assert np.all(free.comfort == 1.0)
+    stopping = speed_planner(path).plan(at(20.0, 10.0), FREE, None, 40.0)
+    assert np.all(stopping.comfort == CONFIG.utmost.comfort)
+    region = box(10.0, -1.0, 20.0, 1.0)
+    for goal, share in (
+        (GoalState(100, 100, region), CONFIG.speed.waiting_comfort),
+        (GoalState(0, 5, box(60.0, -1.0, 80.0, 1.0)), CONFIG.utmost.comfort),
+    ):
+        task = goal_task(goal)
+        path = path_of(task.route)
+        profile = planned(speed_planner(path, *goals_of(task, path)), at(31.0, 3.0), FREE)
+        assert np.all(profile.comfort == share)
+
+
 def test_who_is_quicker_than_most_is_not_slowed_down_by_a_goal() -> None:
     task = goal_task(GoalState(30, 60, box(100.0, -2.0, 180.0, 2.0)))
     path = path_of(task.route)
@@ -802,6 +819,23 @@ def test_solution_obeys_the_vehicle_model(mpc: MpcProblem) -> None:
         np.testing.assert_allclose(state, solution.states[k + 1, :5], atol=1e-3)
     assert abs(solution.states[-1, 1]) < 0.3  # it returns to the path
     assert np.all(np.abs(solution.inputs[:, 0]) <= VEHICLE.max_steering_rate + 1e-6)
+
+
+def test_a_plan_that_has_time_speeds_up_more_gently(mpc: MpcProblem) -> None:
+    """The path's velocity is 10 m/s; a style that is in a hurry pays less for discomfort."""
+    start = np.array([0.0, 0.0, 0.0, 3.0, 0.0, 0.0])
+    guess = straight_guess(mpc)
+    stages = stages_of(mpc, guess)
+    found = []
+    for share in (CONFIG.calm.comfort, CONFIG.utmost.comfort):
+        reference = stages.reference._replace(comfort=np.full(len(stages.reference.offset), share))
+        solution = solved(mpc, start, replace(stages, reference=reference), guess)
+        acceleration = np.concatenate([start[5:], solution.inputs[:, 1]])
+        found.append((acceleration.max(), np.abs(np.diff(acceleration)).max() / DT))
+    (calm, calm_jerk), (hurried, hurried_jerk) = found
+    # nuPlan's bound is 2.4 m/s2.
+    assert calm < 2.4 < hurried
+    assert calm_jerk < 0.7 * hurried_jerk
 
 
 def test_road_user_is_passed_outside_its_set(mpc: MpcProblem) -> None:

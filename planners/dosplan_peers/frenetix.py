@@ -170,7 +170,7 @@ class FrenetixPlanner(Peer):
             return self._trajectory(standing, "standstill")
         if not feasible:
             raise NoPlanError("no sampled trajectory is feasible")
-        offset = float(start.x0_lat[0])
+        offset = float(np.asarray(start.x0_lat)[0])
         return self._trajectory(min(feasible, key=lambda s: _stopping(s, offset)), "stopping")
 
     def _handler(

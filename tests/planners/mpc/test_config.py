@@ -25,7 +25,7 @@ from dosplan_mpc.config import (
 
 PARTS = (
     MpcConfig(),
-    Style(lateral=4.0, longitudinal=2.5),
+    Style(lateral=4.0, longitudinal=2.5, comfort=1.0),
     ArrivalSettings(),
     BarrierSettings(),
     ComfortSettings(),

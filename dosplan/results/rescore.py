@@ -103,8 +103,8 @@ def rescore(path: Path, source: Source | None = None) -> Rescored:
         for row, drive in drives_of(folder, list(rows), scenarios):
             kept += drive is None
             now.append(row if drive is None else _scored(drive))
-    pairs = (_change(*pair) for pair in zip(before, now, strict=True) if pair[0] != pair[1])
-    changes = tuple(change for change in pairs if change.columns)
+    compared = (_change(*pair) for pair in zip(before, now, strict=True))
+    changes = tuple(change for change in compared if change.columns)
     return Rescored(folder, manifest, tuple(now), changes, kept)
 
 

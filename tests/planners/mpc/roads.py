@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from dosplan_mpc.config import MpcConfig
 from dosplan_mpc.obstacles import ForbiddenSets
 from dosplan_mpc.shape import STATIONS, station_offsets
 from dosplan_mpc.stage import Edge, Reference, StageParameters, Station
@@ -36,7 +37,7 @@ def straight_stages(
             station_weight=zero,
             heading=zero,
             heading_weight=zero,
-            comfort=np.ones(len(x)),
+            comfort=np.full(len(x), MpcConfig().utmost.comfort),
         ),
         stations=Station(
             right=Edge(_along_x(x[:, None] + ahead), np.full((len(x), STATIONS), -right), ahead),

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from dosplan.system.errors import DosplanError
+
+_Value = TypeVar("_Value")
 
 FloatArray = npt.NDArray[np.float64]
 """Array of 64-bit floats."""
@@ -92,3 +95,26 @@ def frozen(
         raise ShapeError(f"{where} holds a NaN or an infinite value{suffix}")
     array.setflags(write=False)
     object.__setattr__(owner, field, array.view())
+
+
+def derived(owner: _Value, **fields: Any) -> _Value:
+    """A copy of a frozen value in which some fields are made of what it holds.
+
+    Parts of what was checked are not checked again: values are cut many times in a planning cycle.
+
+    Args:
+        owner: A frozen dataclass instance whose arrays went through ``frozen``.
+        fields: The fields that differ: arrays of the element types of those in their place, which
+            become read-only copies; values that are no arrays are taken as they are.
+
+    Returns:
+        The copy.
+    """
+    made = copy.copy(owner)
+    for name, value in fields.items():
+        if isinstance(value, np.ndarray):
+            value = np.array(value)
+            value.setflags(write=False)
+            value = value.view()
+        object.__setattr__(made, name, value)
+    return made

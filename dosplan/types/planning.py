@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from numbers import Integral, Real
 from typing import Final, Self
@@ -22,6 +22,7 @@ from dosplan.types.arrays import (
     FloatArray,
     IntArray,
     ShapeError,
+    derived,
     frozen,
 )
 from dosplan.types.lights import LightStates
@@ -180,7 +181,7 @@ class SetUnion:
             These columns of every array.
         """
         parts = ("centre", "semi_axes", "angle", "heading")
-        return replace(self, **{name: getattr(self, name)[:, :, steps] for name in parts})
+        return derived(self, **{name: getattr(self, name)[:, :, steps] for name in parts})
 
     def of_users(self, rows: IntArray | BoolArray) -> Self:
         """The same for some road users only.
@@ -192,7 +193,7 @@ class SetUnion:
             These rows of every array.
         """
         parts = ("weight", "centre", "semi_axes", "angle", "heading")
-        return replace(self, **{name: getattr(self, name)[rows] for name in parts})
+        return derived(self, **{name: getattr(self, name)[rows] for name in parts})
 
 
 @dataclass(frozen=True)
@@ -339,7 +340,7 @@ class Occupancy:
         """
         parts = ("centre", "semi_axes", "angle", "valid", "heading")
         union = None if self.union is None else self.union.of_steps(steps)
-        return replace(self, union=union, **{name: getattr(self, name)[:, steps] for name in parts})
+        return derived(self, union=union, **{name: getattr(self, name)[:, steps] for name in parts})
 
     def of_users(self, rows: IntArray | BoolArray) -> Self:
         """The same for some road users only.
@@ -352,7 +353,7 @@ class Occupancy:
         """
         parts = ("ids", "centre", "semi_axes", "angle", "valid", "footprint", "heading")
         union = None if self.union is None else self.union.of_users(rows)
-        return replace(self, union=union, **{name: getattr(self, name)[rows] for name in parts})
+        return derived(self, union=union, **{name: getattr(self, name)[rows] for name in parts})
 
     def without_sets(self) -> Self:
         """The predicted positions with semi-axes of zero: the *without DOS* arm.
@@ -361,7 +362,7 @@ class Occupancy:
             Points where the ellipses were; of a union, those of the most likely component.
         """
         likeliest = self.likeliest()
-        return replace(likeliest, semi_axes=np.zeros_like(self.semi_axes))
+        return derived(likeliest, semi_axes=np.zeros_like(self.semi_axes))
 
     @property
     def components(self) -> SetUnion:
@@ -385,7 +386,7 @@ class Occupancy:
             return self
         which = np.arange(len(self.ids)), union.likeliest
         parts = ("centre", "semi_axes", "angle", "heading")
-        return replace(self, union=None, **{name: getattr(union, name)[which] for name in parts})
+        return derived(self, union=None, **{name: getattr(union, name)[which] for name in parts})
 
     def by_component(self) -> tuple[Self, IntArray, FloatArray]:
         """Every component as a road user of its own.
@@ -403,7 +404,7 @@ class Occupancy:
         rows, rank = np.nonzero(np.take_along_axis(union.present, order, axis=1))
         which = order[rows, rank]
         parts = ("centre", "semi_axes", "angle", "heading")
-        spread = replace(
+        spread = derived(
             self,
             ids=self.ids[rows],
             valid=self.valid[rows],

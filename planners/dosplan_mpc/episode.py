@@ -352,7 +352,9 @@ class MpcEpisode:
         if warm is not None and done:
             return attempts, _Spare(_LAST_PLAN, warm)
         bar = np.inf if warm is None else self._cost_of(warm, scene)
-        if warm is not None and not self._effort.in_time():
+        # What is there costs so little that nothing can beat it by as much as is asked.
+        safe = not new and bar <= settings.worth_it and _any_keeps_road(attempts)
+        if warm is not None and (safe or not self._effort.in_time()):
             return attempts, _Spare(_LAST_PLAN, warm, bar)
         sampled = self._sampler.sample(scene.start, scene.ego, scene.profile)
         if scene.decision.leads:

@@ -195,6 +195,8 @@ class SetSettings:
         watched: Number of road users whose sets are looked at, the nearest ones.
         relevant: Normalised distance to the guess within which a set needs a slot at a step.
         tail: Length that a follower's set is given to its rear, m.
+        follower_price: Share of the penalty that a follower's set has. It sees the ego and can
+            brake: nobody else is hit to get away from it.
         release_seconds: Time after which a set that holds the ego now counts in full, s.
         smallest_release: Share below which such a set is never shrunk.
         release_distance: Normalised distance that the ego has to a shrunk set.
@@ -207,6 +209,7 @@ class SetSettings:
     watched: int = 16
     relevant: float = 1.75
     tail: float = 15.0
+    follower_price: float = 0.5
     release_seconds: float = 1.5
     smallest_release: float = 0.6
     release_distance: float = 1.02
@@ -217,7 +220,7 @@ class SetSettings:
         check_numbers(
             self,
             positive={"release_seconds", "smallest_release", "release_distance"},
-            shares={"smallest_release", "least_price"},
+            shares={"smallest_release", "least_price", "follower_price"},
         )
 
 

@@ -324,11 +324,12 @@ class MpcEpisode:
         config, n = self._config, self._config.horizon
         way = self._path.at(profile.arclength[1:])[:, :2]
         near = Components.near(occupancy, way, config.sets)
-        penalty = near.price[:, None] * self._penalty
+        followers = traffic.followers[near.rows[near.keep]]
+        price = near.price * np.where(followers, config.sets.follower_price, 1.0)
+        penalty = price[:, None] * self._penalty
         # An episode ends with its goal's deadline: nothing later may block the last metres.
         extended = max(self._final_step - observation.step, 0) if self._has_goals else n
         sets = forbidden_sets(near.sets, self._radius, near.keep, penalty, extended)
-        followers = traffic.followers[near.rows[near.keep]]
         sets = stretch_back(sets, followers, config.sets.tail)
         return release(sets, self._sampler.disc_centres(observation.ego), self._dt, config.sets)
 

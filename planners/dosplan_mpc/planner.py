@@ -14,7 +14,7 @@ from dosplan_mpc.episode import MpcEpisode
 class MpcPlanner(Planner):
     """Model-predictive control that keeps out of occupancy sets."""
 
-    name: ClassVar[str] = "mpc-v10"
+    name: ClassVar[str] = "mpc-v11"
 
     settings: ClassVar[type[MpcConfig]] = MpcConfig
 

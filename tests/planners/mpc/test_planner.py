@@ -28,6 +28,7 @@ from dosplan.simulation.loop import run_episode
 from dosplan.simulation.world import World
 from dosplan.types import (
     Arm,
+    CollisionClass,
     Episode,
     EpisodeEnd,
     FloatArray,
@@ -126,6 +127,31 @@ def test_an_ego_in_the_middle_of_overtaking_does_not_turn_into_the_car_beside_it
     scenario = load_scenario(path)
     row = score(scenario, run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), arm))
     assert row.outcome is Outcome.SUCCESS, row
+
+
+@pytest.mark.parametrize("arm", list(Arm))
+@pytest.mark.parametrize(
+    ("velocity", "ahead", "behind", "following"),
+    [(8.0, 25.0, 14.0, 12.0), (10.0, 40.0, 20.0, 15.0), (6.0, 25.0, 12.0, 9.0)],
+)
+def test_nobody_in_front_is_hit_to_get_away_from_a_follower_that_does_not_brake(
+    tmp_path: Path, velocity: float, ahead: float, behind: float, following: float, arm: Arm
+) -> None:
+    """One lane, a standing car, and a follower that hits the ego or pushes it into that car."""
+    goal = scenes.rectangle(30.0, 3.4, 250.0)
+    path = scenes.write_scenario_xml(
+        tmp_path / "pushed.xml",
+        scenes.straight_road(lanes=1, length=350.0),
+        [
+            scenes.User(500, scenes.driving(60.0 - behind, 0.0, following, 101)),
+            scenes.User(501, scenes.driving(60.0 + ahead, 0.0, 0.0, 101)),
+        ],
+        [scenes.Problem(start=(60.0, 0.0, 0.0, velocity), goals=(scenes.Goal(0, 100, goal),))],
+    )
+    scenario = load_scenario(path)
+    row = score(scenario, run_episode(scenario, MpcPlanner(), ErrorCirclePredictor(), arm))
+    assert row.collision_class is CollisionClass.ACTIVE_REAR, row
+    assert row.at_fault is False
 
 
 @pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2], ids=["left", "right"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ from dosplan.types import (
     SolveStatus,
     Tracks,
 )
-from tests.support.factories import occupancy_at, random_union
+from tests.support.factories import occupancy_at, random_union, union_of
 
 
 def test_arrays_are_read_only_and_the_given_ones_stay_writable() -> None:
@@ -184,6 +184,34 @@ def test_steps_of_an_occupancy_are_those_of_its_union() -> None:
             np.testing.assert_array_equal(getattr(part.union, field), wanted)
         np.testing.assert_array_equal(part.union.weight, union.weight)
     assert sets.first_steps(9) is sets.later(0) is sets
+
+
+def test_what_is_cut_out_of_an_occupancy_is_as_whole_and_as_read_only_as_one_that_is_made() -> None:
+    """Parts are not checked again; a check of them finds nothing, and nobody can write to them."""
+    union = random_union(np.random.default_rng(3), 4, 3, 6, spread=9.0, reach=2.0)
+    whole = union_of([0.5, 0.3, 0.2], *(occupancy_at(np.ones((4, 2)), 6, a) for a in (1, 2, 3)))
+    whole = replace(whole, union=union)
+    parts = [
+        whole.of_steps(np.array([0, 2])),
+        whole.first_steps(3),
+        whole.later(2),
+        whole.of_users(np.array([3, 1])),
+        whole.likeliest(),
+        whole.without_sets(),
+        whole.by_component()[0],
+    ]
+    for part in parts:
+        again = replace(part, union=None if part.union is None else replace(part.union))
+        for name in (f.name for f in fields(part) if f.name != "union"):
+            array = getattr(part, name)
+            np.testing.assert_array_equal(array, getattr(again, name))
+            assert array.dtype == getattr(again, name).dtype
+            with pytest.raises(ValueError, match="WRITEABLE"):
+                array.setflags(write=True)
+    assert parts[0].union is not None
+    np.testing.assert_array_equal(parts[0].union.centre, union.centre[:, :, [0, 2]])
+    with pytest.raises(ValueError, match="read-only"):
+        parts[0].union.centre[0] = 0.0
 
 
 def test_without_sets_the_most_likely_component_is_left() -> None:

@@ -93,8 +93,7 @@ def frozen(
         raise ShapeError(f"{where} has shape {array.shape}, expected {wanted}{told}{suffix}")
     if finite and not np.all(np.isfinite(array)):
         raise ShapeError(f"{where} holds a NaN or an infinite value{suffix}")
-    array.setflags(write=False)
-    object.__setattr__(owner, field, array.view())
+    _hold(owner, field, array)
 
 
 def derived(owner: _Value, **fields: Any) -> _Value:
@@ -113,8 +112,13 @@ def derived(owner: _Value, **fields: Any) -> _Value:
     made = copy.copy(owner)
     for name, value in fields.items():
         if isinstance(value, np.ndarray):
-            value = np.array(value)
-            value.setflags(write=False)
-            value = value.view()
-        object.__setattr__(made, name, value)
+            _hold(made, name, np.array(value))
+        else:
+            object.__setattr__(made, name, value)
     return made
+
+
+def _hold(owner: object, field: str, array: npt.NDArray[Any]) -> None:
+    """Sets a field of a frozen value to a read-only view of an array that nobody else holds."""
+    array.setflags(write=False)
+    object.__setattr__(owner, field, array.view())

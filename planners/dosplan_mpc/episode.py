@@ -349,22 +349,22 @@ class MpcEpisode:
         new = last is not None and last.kind != scene.decision.kind
         due = last is None or new or last.cycles % self._config.resample_every == 0
         pressed = last is not None and last.slack > settings.slack_seen
-        done = not due and not pressed and _any_keeps_road(attempts)
-        if warm is not None and done:
+        keeps_road = any(attempt.keeps_road for attempt in attempts)
+        if warm is not None and keeps_road and not due and not pressed:
             return attempts, _Spare(_LAST_PLAN, warm)
         bar = np.inf if warm is None else self._cost_of(warm, scene)
-        # What is there costs so little that nothing can beat it by as much as is asked.
-        safe = not new and bar <= settings.worth_it and _any_keeps_road(attempts)
-        if warm is not None and (safe or not self._effort.in_time()):
+        kept = 0.0 if new else max(settings.worth_it, settings.better * bar)
+        # No cost is below zero: a plan that costs no more than that cannot be beaten by as much.
+        unbeaten = keeps_road and bar <= kept
+        if warm is not None and (unbeaten or not self._effort.in_time()):
             return attempts, _Spare(_LAST_PLAN, warm, bar)
         sampled = self._sampler.sample(scene.start, scene.ego, scene.profile)
         if scene.decision.leads:
             led = self._sampler.led(scene.start, scene.ego, scene.profile)
             sampled = sampled.joined(led)
         candidate, cost = self._best_of(scene, sampled)
-        kept = 0.0 if new else max(settings.worth_it, settings.better * bar)
         better = cost < bar - kept
-        if (better or not _any_keeps_road(attempts)) and self._effort.allows_solve():
+        if (better or not keeps_road) and self._effort.allows_solve():
             attempts += self._solve_on_road(scene, candidate)
         if warm is not None and bar < cost:
             return attempts, _Spare(_LAST_PLAN, warm, bar)
@@ -510,10 +510,6 @@ def _velocity_asked(task: PlanningTask) -> tuple[float, float]:
     """Least and largest velocity, m/s, of the first goal that has no region; of none, any."""
     asked = (goal.velocity for goal in task.goals if goal.region is None)
     return next((velocity for velocity in asked if velocity is not None), _ANY_VELOCITY)
-
-
-def _any_keeps_road(attempts: list[_Attempt]) -> bool:
-    return any(attempt.keeps_road for attempt in attempts)
 
 
 def _report(attempts: list[_Attempt], best: _Attempt | None, decision: Decision) -> SolveReport:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -345,3 +346,24 @@ def test_a_peer_stops_at_a_red_light_and_drives_on_when_it_turns_green(
     assert velocity[95:101].max() < 1.0  # It may creep on to the line.
     assert x[-1] > line + 5.0
     assert {plan.report.fallback for plan in episode.plans} == {None}
+
+
+@skip_where_missing("frenetix")
+def test_frenetix_sorts_by_the_whole_cost_and_asks_for_the_risk_of_few() -> None:
+    from dosplan_peers.frenetix import _cheapest_first
+
+    rng = np.random.default_rng(0)
+    cheap, risk = rng.uniform(0.0, 10.0, (2, 60))
+    samples = [SimpleNamespace(cost=cost, row=row) for row, cost in enumerate(cheap)]
+    asked: list[int] = []
+
+    def evaluate(sample: SimpleNamespace) -> None:
+        asked.append(sample.row)
+        sample.cost += risk[sample.row]
+
+    ranked = _cheapest_first(samples, SimpleNamespace(evaluate_trajectory=evaluate))
+    order = np.argsort(cheap + risk)
+    assert next(ranked).row == order[0]
+    assert sorted(asked) == sorted(np.flatnonzero(cheap < (cheap + risk)[order[0]]))
+    assert [sample.row for sample in ranked] == list(order[1:])
+    assert len(asked) == len(samples)

@@ -58,6 +58,9 @@ _CONNECT_SECONDS: Final = 15.0
 _CLOSE_SECONDS: Final = 1.0
 _DIED: Final = "every Dask worker that took it up died"
 _WORKER_NAME: Final = "Dask Worker process"
+_LOG_LENGTH: Final = 100
+"""Entries of each of a scheduler's logs in memory. It keeps one for every client, so for every run
+of a sweep, and nobody reads them."""
 
 
 @dataclass(frozen=True)
@@ -299,6 +302,8 @@ def _local_cluster(workers: int) -> Iterator[str]:
     settings = {
         "distributed.worker.daemon": False,
         "distributed.worker.profile.enabled": False,  # Dask's own, which grows for a quarter hour.
+        "distributed.admin.log-length": _LOG_LENGTH,
+        "distributed.admin.low-level-log-length": _LOG_LENGTH,
     }
     with dask.config.set(settings):
         cluster = distributed.LocalCluster(  # type: ignore[no-untyped-call]

@@ -129,7 +129,13 @@ class Cluster:
 
 
 def _started(command: Sequence[str], folder: Path) -> Watched:
-    variables = {**os.environ, "OMP_NUM_THREADS": "1", "DOSPLAN_CACHE": str(folder / "cache")}
+    variables = {
+        **os.environ,
+        "OMP_NUM_THREADS": "1",
+        "DOSPLAN_CACHE": str(folder / "cache"),
+        "DASK_DISTRIBUTED__ADMIN__LOG_LENGTH": "100",  # As docs/clusters.md has it.
+        "DASK_DISTRIBUTED__ADMIN__LOW_LEVEL_LOG_LENGTH": "100",
+    }
     with (folder / "log.txt").open("ab") as log:
         process = subprocess.Popen(  # noqa: S603 - fixed arguments
             command, cwd=folder, stdout=log, stderr=log, env=variables

@@ -180,6 +180,15 @@ def test_nobody_waits_for_a_result_that_its_dead_worker_holds(
     assert last == tasks[:1]
 
 
+def test_the_logs_of_a_local_scheduler_are_short(tmp_path: Path, scenes: Path) -> None:
+    def longest(dask_scheduler: Any) -> int:
+        return int(dask_scheduler.transition_log.maxlen)
+
+    executor = cluster.DaskExecutor("local:1")
+    with executor.start(configured(tmp_path, scenes, "SlowPlanner")) as workers:
+        assert workers.client.run_on_scheduler(longest) == 100  # type: ignore[attr-defined]
+
+
 @pytest.mark.slow
 def test_a_scheduler_that_goes_away_leaves_a_folder_that_resumes(
     machines: Cluster, scenes: Path, tmp_path: Path, undisturbed: list[dict[str, Any]]

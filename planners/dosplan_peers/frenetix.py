@@ -84,8 +84,6 @@ WEIGHTS: Final[Mapping[str, float]] = MappingProxyType(
         "prediction": 200.0,
     }
 )
-BATCH: Final = 8
-"""How many trajectories are checked for collisions at once."""
 STOP_WEIGHT: Final = 5.0
 """How many times as much the velocity counts where it has to stop. Planned anew at every step, its
 trajectories of 1.1 s and more brake late for a wall."""
@@ -236,8 +234,13 @@ class FrenetixPlanner(Peer):
         return _near(way / time, velocity)
 
     def _first_free(self, samples: Iterator[Any], step: int, obstacles: list[Any]) -> Any | None:
-        """The first trajectory that clears the obstacles and the road's edge, or None."""
-        while batch := list(islice(samples, BATCH)):
+        """The first trajectory that clears the obstacles and the road's edge, or None.
+
+        Mostly it is the very first, or all have to be tried: each time twice as many are.
+        """
+        count = 1
+        while batch := list(islice(samples, count)):
+            count *= 2
             egos = [self._swept(sample, step) for sample in batch]
             hits = trajectory_queries.trajectories_collision_dynamic_obstacles(
                 egos, obstacles, **GRID

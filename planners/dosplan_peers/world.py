@@ -117,8 +117,9 @@ def time_variant(centre: FloatArray, heading: FloatArray, size: FloatArray, step
         A ``pycrcc.TimeVariantCollisionObject``.
     """
     found = pycrcc.TimeVariantCollisionObject(step)
-    for (x, y), angle, (length, width) in zip(centre, heading, size, strict=True):
-        found.append_obstacle(pycrcc.RectOBB(0.5 * length, 0.5 * width, angle, x, y))
+    # The binding takes Python's numbers four times as fast as numpy's.
+    for row in np.column_stack([0.5 * size, heading, centre]).tolist():
+        found.append_obstacle(pycrcc.RectOBB(*row))
     return found
 
 

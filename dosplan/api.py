@@ -155,7 +155,7 @@ class Planner(ABC):
     """Drives the ego.
 
     Attributes:
-        name: Versioned name that goes into results (``mpc-v11``); a changed behaviour is a new
+        name: Versioned name that goes into results (``mpc-v12``); a changed behaviour is a new
             version.
         settings: The frozen dataclass of its options; the constructor takes an instance of it.
         look_ahead: Number of predicted steps that it needs; a predictor with a shorter horizon is

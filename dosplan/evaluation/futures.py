@@ -273,7 +273,7 @@ def coasting(scenario: Scenario, steps: int) -> FloatArray:
     task = scenario.task
     path = ReferencePath.of(task.route)
     start = task.start[[EGO_X, EGO_Y]]
-    first = float(path.locate(start))
+    first = path.locate_first(start)
     across = float(path.offset(start, first))
     along = first + task.start[EGO_VELOCITY] * scenario.dt * np.arange(steps + 1)
     heading = path.heading_at(along)

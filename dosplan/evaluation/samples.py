@@ -205,7 +205,8 @@ class _MethodLog:
         sets = occupancy.of_users(moment.rows).first_steps(STEPS)
         truth = moment.truth[..., [USER_X, USER_Y]]
         centre, heading = _most_likely_first(sets)
-        self.digest.update(np.moveaxis(centre, 1, 0).tobytes())
+        for part in (centre, heading):
+            self.digest.update(np.moveaxis(part, 1, 0).tobytes())
         self._sets.append(_against_sets(moment, truth, sets))
         self._trajectories.append(_against_centres(moment, truth, centre, heading))
 

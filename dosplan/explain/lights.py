@@ -111,7 +111,7 @@ def _waits(drive: Drive) -> list[Wait]:
     stops = [x for x in drive.scenario.task.route.stops if x.cause is StopCause.LIGHT]
     if not stops:
         return []
-    along = ReferencePath.of(drive.scenario.task.route).locate(drive.ego[:, :2])
+    along = ReferencePath.of(drive.scenario.task.route).follow(drive.ego[:, :2])
     front = along + 0.5 * drive.vehicle.length
     waited: list[RouteStop | None] = []
     for index, state in enumerate(drive.ego):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Final, Self
 
 import numpy as np
@@ -22,6 +23,13 @@ PATH_SIZE: Final = 4
 """Number of columns of a path."""
 
 _AS_NEAR: Final = 0.5  # m; a lap that comes by no farther off than this is as near as another.
+_NEAR_AGAIN: Final = 2.0  # m; a path comes by a place again where it is nearer than this.
+_SHORTEST_LAP: Final = 20.0  # m
+_ALONG: Final = 0.5  # Cosine between two laps' directions.
+_BEHIND: Final = 0.3  # Shares of a lap that are looked at, behind and ahead.
+_AHEAD: Final = 0.6
+_AT_END: Final = 1e-6  # m
+_STEP_REACH: Final = 3.0  # m; further than most drive in a step of 0.1 s.
 _NEWTON_STEPS: Final = 4  # From a few metres off they end within a millimetre.
 _LONGEST_STEP: Final = 12.0  # m; keeps Newton's method on its branch where the path turns back.
 
@@ -74,17 +82,68 @@ class ReferencePath:
         """
         return cls(route.arclength, route.path, route.heading, route.curvature)
 
-    def locate(self, points: FloatArray) -> FloatArray:
-        """Arc lengths of the nearest points of the whole path.
+    def locate(self, points: FloatArray, around: FloatArray | float | None = None) -> FloatArray:
+        """Arc lengths of the nearest points of the path.
 
         Args:
             points: (..., 2) m.
+            around: On a path that comes by a place more than once, as round a ring, the arc length
+                around which less than one lap is looked at, one for all or (...), m; None for the
+                whole path.
 
         Returns:
             (...) m.
         """
-        along = shapely.line_locate_point(self._line, shapely.points(points))
-        return np.asarray(along + self.arclength[0])
+        places = shapely.points(points)
+        if around is None or not np.isfinite(self._lap):
+            along = shapely.line_locate_point(self._line, places)
+            return np.asarray(along + self.arclength[0])
+        centres = np.broadcast_to(around, points.shape[:-1])
+        found = np.empty(points.shape[:-1])
+        behind, ahead = _BEHIND * self._lap, _AHEAD * self._lap
+        for centre in np.unique(centres):
+            line, first = self._stretch(centre - behind, centre + ahead)
+            chosen = centres == centre
+            found[chosen] = first + shapely.line_locate_point(line, np.asarray(places)[chosen])
+        return found
+
+    def track(self, point: FloatArray, last: float) -> float:
+        """Arc length of somebody who was at a place of the path not long ago.
+
+        Args:
+            point: (2,) where it is, m.
+            last: Arc length at which it was, m.
+
+        Returns:
+            m.
+        """
+        if not np.isfinite(self._returns):
+            return float(self.locate(point))
+        reach = _STEP_REACH
+        while True:
+            line, first = self._stretch(last - reach, last + reach)
+            along = float(shapely.line_locate_point(line, shapely.Point(point)))
+            further_back = along < _AT_END and last - reach > self.arclength[0]
+            further_on = along > line.length - _AT_END and last + reach < self.arclength[-1]
+            if not (further_back or further_on):
+                return first + along
+            reach *= 2.0
+
+    def follow(self, points: FloatArray) -> FloatArray:
+        """Arc lengths of somebody who drives along the path, from its first lap on.
+
+        Args:
+            points: (K, 2) where it is, step by step, m.
+
+        Returns:
+            (K,) m.
+        """
+        if not np.isfinite(self._returns):
+            return self.locate(points)
+        along = [self.locate_first(points[0])]
+        for point in points[1:]:
+            along.append(self.track(point, along[-1]))
+        return np.array(along)
 
     def locate_first(self, point: FloatArray) -> float:
         """Arc length of the first place at which the path is as near to a point as anywhere.
@@ -107,6 +166,33 @@ class ReferencePath:
         lap = shapely.LineString(self.points[first : first + count])
         along = shapely.line_locate_point(lap, shapely.Point(point))
         return float(self.arclength[first] + along)
+
+    @cached_property
+    def _lap(self) -> float:
+        """Least way after which the path comes by a place again in the same direction, m."""
+        return self._return(_ALONG)
+
+    @cached_property
+    def _returns(self) -> float:
+        """Least way after which it comes by a place again, in whichever direction, m."""
+        return self._return(-1.0)
+
+    def _return(self, least: float) -> float:
+        """The same with a least cosine of the directions; infinite if it never does."""
+        spacing = float(np.diff(self.arclength).min())
+        every = slice(None, None, max(round(_NEAR_AGAIN / spacing), 1))
+        points, along, heading = (x[every] for x in (self.points, self.arclength, self.heading))
+        way = np.abs(along[:, None] - along)
+        again = np.hypot(*(points[:, None] - points).T) < _NEAR_AGAIN
+        again &= (way > _SHORTEST_LAP) & (np.cos(heading[:, None] - heading) >= least)
+        return float(np.min(way, initial=np.inf, where=again))
+
+    def _stretch(self, begin: float, end: float) -> tuple[shapely.LineString, float]:
+        """The path between two arc lengths, and where that begins, m."""
+        first, last = np.searchsorted(self.arclength, [begin, end])
+        first = int(np.clip(first - 1, 0, len(self.points) - 2))
+        part = slice(first, max(int(last) + 1, first + 2))
+        return shapely.LineString(self.points[part]), float(self.arclength[first])
 
     def heading_at(self, arclength: FloatArray | float) -> FloatArray:
         """Heading of the path.

@@ -307,7 +307,7 @@ class StopRules:
         """Id of a road user whose way the ego would be in, or None."""
         stop, settings = self._places[number].stop, self._settings
         first, last = self._steps(number, scene, settings.after)
-        users = scene.observation.moves & ~self._in_own_lane(scene.observation, stop)
+        users = scene.observation.moves & ~self._in_own_lane(scene, stop)
         forecast = _Forecast.of(scene, last)
         return _first(scene, users & self._comes(scene, forecast, stop.conflict, first, last))
 
@@ -358,12 +358,13 @@ class StopRules:
         return np.where(stands, forecast.meets(area, 0, 0), there)
 
     def _stands(self, observation: Observation) -> BoolArray:
-        return np.asarray(observation.states[:, -1, USER_VELOCITY] <= self._settings.standing)
+        speed = np.abs(observation.states[:, -1, USER_VELOCITY])
+        return np.asarray(speed <= self._settings.standing)
 
-    def _in_own_lane(self, observation: Observation, stop: RouteStop) -> BoolArray:
+    def _in_own_lane(self, scene: _Scene, stop: RouteStop) -> BoolArray:
         """(N,) whether a road user drives along the path, not beyond the place of a stop."""
-        now = observation.present
-        along = self._path.locate(now[:, :2])
+        now = scene.observation.present
+        along = self._path.locate(now[:, :2], scene.front)
         turn = now[:, USER_HEADING] - self._path.heading_at(along)
         beside = np.abs(self._path.offset(now[:, :2], along)) < _IN_LANE
         return np.asarray(beside & (np.cos(turn) > _ALIGNED) & (along < stop.until))

@@ -160,7 +160,7 @@ def _nearness(part: ScoredPart) -> float:
     path = ReferencePath(
         route.arclength, route.path, route.heading, route.curvature, thinning=_THINNING
     )
-    own = path.locate(part.ego[:, :2])
+    own = path.follow(part.ego[:, :2])
     aside = path.offset(part.ego[:, :2], own)
     window = slice(first, first + count)
     states = tracks.states[:, window, :2]
@@ -174,7 +174,7 @@ def _nearness(part: ScoredPart) -> float:
         way, shapely.points(states[user, step]), BESIDE + float(np.abs(aside).max())
     )
     user, step = user[beside], step[beside]
-    there = path.locate(states[user, step])
+    there = path.locate(states[user, step], own[step])
     ahead = there - own[step]
     counts = (ahead > 0.0) & (np.abs(path.offset(states[user, step], there) - aside[step]) < BESIDE)
     cost = np.zeros(len(part.ego))

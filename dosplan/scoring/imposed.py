@@ -142,8 +142,8 @@ def imposed_braking(
 
     Returns:
         m/s2, 0 where nobody was slowed. None where it cannot be told from other things: all drive
-        as recorded whatever comes, no step was driven, or most are off the recording a step after
-        the start already, as they have intentions of their own.
+        as recorded whatever comes, no step was driven, no vehicle is there as long as the recording
+        lasts, or most are off it at once, as they have intentions of their own.
     """
     if tracks is recorded or last <= start:
         return None
@@ -151,11 +151,14 @@ def imposed_braking(
     own = [i for i, name in enumerate(tracks.ids.tolist()) if name in rows]
     own = [i for i in own if tracks.kinds[i] in _VEHICLES]
     was = np.array([rows[int(tracks.ids[i])] for i in own], dtype=np.int64)
-    if not own or start + 1 >= recorded.steps:
+    ahead = slice(start + 1, min(last + 1, tracks.steps, recorded.steps))
+    there = tracks.valid[own, ahead] & recorded.valid[was, ahead]
+    if not there.any():
         return None
-    there = tracks.valid[own, start + 1] & recorded.valid[was, start + 1]
-    same = np.all(tracks.states[own, start + 1] == recorded.states[was, start + 1], axis=1)
-    if not there.any() or np.mean(same[there]) < 0.5:
+    first = int(np.argmax(there.any(axis=0)))
+    at, seen = start + 1 + first, there[:, first]
+    same = np.all(tracks.states[own, at] == recorded.states[was, at], axis=1)
+    if np.mean(same[seen]) < 0.5:
         return None
     pairs = zip(own, was.tolist(), strict=True)
     return max(

@@ -31,6 +31,7 @@ import numpy as np
 import shapely
 
 from dosplan.geometry import rectangle_corners, wrap_angle
+from dosplan.scoring.bounds import outside
 from dosplan.scoring.collision import overlap_window
 from dosplan.scoring.fault import BEHIND_ANGLE, in_several_lanes
 from dosplan.scoring.part import ScoredPart
@@ -209,9 +210,9 @@ def _comes_too_close(part: ScoredPart) -> bool:
     """Whether the time to collision is within the bound at a step.
 
     Rectangles are moved on at constant velocity in steps of ``TIME_STEP``. Those ahead count; those
-    beside the ego count where it is in several lanes or in an intersection. Who touches the ego
-    counts no more from that step on, but a collision that the ego is to blame for is a time of
-    zero.
+    beside the ego count where it is in several lanes, off the road or in an intersection. Who
+    touches the ego counts no more from that step on, but a collision that the ego is to blame for
+    is a time of zero.
     """
     if part.at_fault_with:
         return True
@@ -238,6 +239,7 @@ def _comes_too_close(part: ScoredPart) -> bool:
     return any(
         (part.lanes.at[k] >= 0 and lanelets[part.lanes.at[k]].id in inside)
         or in_several_lanes(ego[k, :3], vehicle.size, road_map)
+        or outside(ego[k : k + 1, :3], vehicle.size, road_map)[0]
         for k in np.unique(step)
     )
 

@@ -89,7 +89,7 @@ def needed_progress(scenario: Scenario, tracks: Tracks, signals: Signals) -> flo
     """
     task = scenario.task
     path = ReferencePath.of(task.route)
-    start = float(path.locate(task.vehicle.centre(task.start)))
+    start = path.locate_first(task.vehicle.centre(task.start))
     ways = [
         _way_in_time(goal, scenario, path, start, tracks, signals)
         if goal.region is None
@@ -144,7 +144,7 @@ def _way_behind_others(
     first, last = (tracks.states[there, k] for k in (task.start_step, step))
     if not there.size:
         return np.inf
-    before, after = path.locate(first[:, :2]), path.locate(last[:, :2])
+    before, after = (path.locate(places[:, :2], start) for places in (first, last))
     half_width = 0.5 * (task.vehicle.width + tracks.size[there, 1])
     on_path = (before > start) & (np.abs(path.offset(last[:, :2], after)) < half_width)
     turned = last[:, USER_HEADING] - path.heading_at(after)

@@ -209,7 +209,9 @@ def stop_lines_ignored(part: ScoredPart) -> int | None:
         return None
     front = _front(part)
     signed = (x for x in part.lanes.lanelets if stop.intersection(x.signs))
-    return sum(_ignores_stop(part, front, crossing) for crossing in _crossings(front, signed))
+    # Where lanelets overlap, a line is passed once for each of them.
+    ignored = (x.step for x in _crossings(front, signed) if _ignores_stop(part, front, x))
+    return len(set(ignored))
 
 
 def _ignores_stop(part: ScoredPart, front: FloatArray, crossing: _Crossing) -> bool:

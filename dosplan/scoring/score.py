@@ -331,8 +331,8 @@ def _mean_velocity(states: FloatArray) -> float:
 
 
 def _progress(route: Route, ego: FloatArray) -> float:
-    first, last = ReferencePath.of(route).locate(ego[[0, -1], :2])
-    return float(last - first)
+    along = ReferencePath.of(route).follow(ego[:, :2])
+    return float(along[-1] - along[0])
 
 
 def _cycle_times(episode: DrivenEpisode, cycles: IntArray) -> tuple[float | None, float | None]:

@@ -114,6 +114,7 @@ class TrackFilter:
         """What is known at first: a state is as measured, less an error that is not known."""
         self._begun[rows] = True
         self._mean[rows, :USER_SIZE] = measured
+        self._mean[rows, USER_SIZE:] = 0.0
         variance = np.tile(self._variance, (len(rows), 1))
         variance[~self._moves[rows], USER_VELOCITY] = 0.0
         state, error = np.arange(USER_SIZE), _ERRORS + np.arange(USER_SIZE)

@@ -1,4 +1,4 @@
-"""``idm-v3``: the Intelligent Driver Model along the route.
+"""``idm-v4``: the Intelligent Driver Model along the route.
 
 Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and microscopic
 simulations", Phys. Rev. E 62, 2000; the free-road term and the figures are those of Treiber,
@@ -145,6 +145,7 @@ def idm_acceleration(
 
 def find_leaders(
     path: ReferencePath,
+    ego: float,
     observation: Observation,
     occupancy: Occupancy,
     vehicle: VehicleParameters,
@@ -158,6 +159,7 @@ def find_leaders(
 
     Args:
         path: The ego's path.
+        ego: Arc length of the ego's centre, m.
         observation: What is known now.
         occupancy: The sets of the road users of ``observation``.
         vehicle: The ego.
@@ -170,16 +172,15 @@ def find_leaders(
     steps = min(settings.searched_steps, sets.horizon)
     valid = sets.valid[:, :steps]
     corners = set_corners(sets, steps)
-    s = path.locate(corners)
+    s = path.locate(corners, ego)
     lateral = path.offset(corners, s)
     side = 0.5 * vehicle.width + settings.side_margin
     blocks = valid & (lateral.min(axis=-1) < side) & (lateral.max(axis=-1) > -side)
 
-    now = path.locate(observation.present[rows, :2])
-    then = path.locate(corners.mean(axis=-2))
+    now = path.locate(observation.present[rows, :2], ego)
+    then = path.locate(corners.mean(axis=-2), ego)
     way = then - now[:, None]
     time = observation.dt * np.arange(1, steps + 1)
-    ego = path.locate(vehicle.centre(observation.ego))
     chosen = blocks & (now > ego)[:, None]
     return Leaders(rear=(s.min(axis=-1) - way)[chosen], velocity=(way / time)[chosen])
 
@@ -223,6 +224,7 @@ class IdmEpisode:
         self._route_arclength = task.route.arclength
         self._rules = StopRules(task, settings.stops)
         self._start_velocity = float(task.start[EGO_VELOCITY])
+        self._place = path.locate_first(vehicle.centre(task.start))
         goals = [(goal, _extent(goal, path, settings.goal_margin)) for goal in task.goals]
         on_path = [pair for pair in goals if _is_beside(pair[0], path)]
         self._goals = on_path or goals
@@ -238,56 +240,66 @@ class IdmEpisode:
         Returns:
             The plan.
         """
-        settings, vehicle = self._settings, self._follower.vehicle
+        settings, vehicle, dt = self._settings, self._follower.vehicle, observation.dt
         path = self._follower.path
-        leaders = find_leaders(path, observation, occupancy, vehicle, settings)
-        desired = self.desired_velocity(observation)
-        needed = 0.0 if settings.limit_first else self.needed_velocity(observation)
+        self._place = centre = path.track(vehicle.centre(observation.ego), self._place)
+        leaders = find_leaders(path, centre, observation, occupancy, vehicle, settings)
+        desired = self.desired_velocity(observation.step, centre)
+        needed = 0.0 if settings.limit_first else self.needed_velocity(observation.step, centre)
         front = vehicle.rear_to_centre + 0.5 * vehicle.length
-        centre = float(path.locate(vehicle.centre(observation.ego)))
         wait = self._rules.wait(observation, occupancy, centre + 0.5 * vehicle.length)
         if wait is not None:
             # A line is a standing leader, so far behind it that the gap ends at the place.
             leaders = leaders.with_standing(wait.place + settings.least_gap)
 
-        def acceleration(step: int, s: float, velocity: float) -> float:
-            allowed = min(
-                desired,
-                float(np.interp(s, *self._bends)),
-                max(needed, float(np.interp(s, self._route_arclength, self._legal))),
-            )
-            gap = leaders.rear + leaders.velocity * step * observation.dt - (s + front)
-            return idm_acceleration(
-                velocity, max(allowed, settings.least_velocity), gap, leaders.velocity, settings
-            )
+        def allowed(s: float) -> tuple[float, float]:
+            """What bends and the map allow with the rear axle there, m/s."""
+            legal = np.interp(s + vehicle.rear_to_centre, self._route_arclength, self._legal)
+            return float(np.interp(s, *self._bends)), max(needed, float(legal))
 
-        plan = self._follower.roll_out(observation.ego, acceleration, steps)
+        def acceleration(step: int, s: float, velocity: float) -> float:
+            gap = leaders.rear + leaders.velocity * step * dt - (s + front)
+            target = max(min(desired, *allowed(s)), settings.least_velocity)
+            law = idm_acceleration(velocity, target, gap, leaders.velocity, settings)
+            # The model brakes too gently for a desired velocity that falls.
+            in_bend, legal = (
+                (max(limit, settings.least_velocity) - velocity) / dt
+                for limit in allowed(s + velocity * dt)
+            )
+            law = min(law, max(legal, -settings.deceleration))
+            return min(law, max(in_bend, -settings.full_braking))
+
+        plan = self._follower.roll_out(observation.ego, acceleration, steps, centre)
         if wait is None:
             return plan
         return replace(plan, report=SolveReport(waits_for=wait.reason))
 
-    def needed_velocity(self, observation: Observation) -> float:
+    def needed_velocity(self, now: int, s: float) -> float:
         """The least mean speed that brings the ego to its goal before the deadline.
+
+        Args:
+            now: Present step.
+            s: Arc length of the ego's centre, m.
 
         Returns:
             m/s; not positive where it is there.
         """
-        s = float(self._follower.path.locate(self._follower.vehicle.centre(observation.ego)))
-        goal, (near, _) = self._next_goal(observation.step, s)
-        time = (max(goal.last_step, observation.step + 1) - observation.step) * observation.dt
-        return (near - s) / time
+        goal, (near, _) = self._next_goal(now, s)
+        return (near - s) / ((max(goal.last_step, now + 1) - now) * self._follower.dt)
 
-    def desired_velocity(self, observation: Observation) -> float:
+    def desired_velocity(self, now: int, s: float) -> float:
         """The start's speed, changed only as far as the goal's region, time and speed require.
+
+        Args:
+            now: Present step.
+            s: Arc length of the ego's centre, m.
 
         Returns:
             m/s.
         """
-        now = observation.step
-        s = float(self._follower.path.locate(self._follower.vehicle.centre(observation.ego)))
         goal, (near, far) = self._next_goal(now, s)
         window = max(goal.first_step, now + 1), max(goal.last_step, now + 1)
-        time = (0.5 * sum(window) - now) * observation.dt
+        time = (0.5 * sum(window) - now) * self._follower.dt
         on_time = float(np.clip(self._start_velocity, (near - s) / time, (far - s) / time))
         return float(np.clip(on_time, *(goal.velocity or (0.0, np.inf))))
 
@@ -315,7 +327,7 @@ class IdmEpisode:
 class IdmPlanner(Planner):
     """Follows the route, the goal's deadline and the leader."""
 
-    name = "idm-v3"
+    name = "idm-v4"
     settings = IdmSettings
     plan_steps: int = PLAN_STEPS
 
@@ -360,9 +372,14 @@ def _is_beside(goal: GoalState, path: ReferencePath) -> bool:
 
 
 def _extent(goal: GoalState, path: ReferencePath, most: float) -> tuple[float, float]:
-    """First and last arc length of a goal's region, a little inside; infinite without one."""
+    """First and last arc length of a goal's region, a little inside; infinite without one.
+
+    Where the path comes by it more than once, those of the last time.
+    """
     if goal.region is None:
         return -np.inf, np.inf
-    s = path.locate(shapely.get_coordinates(goal.region))
+    inside = np.flatnonzero(shapely.intersects_xy(goal.region, *path.points.T))
+    last = float(path.arclength[inside[-1]]) if inside.size else None
+    s = path.locate(shapely.get_coordinates(goal.region), last)
     margin = min(most, 0.25 * float(np.ptp(s)))
     return float(s.min()) + margin, float(s.max()) - margin

@@ -114,7 +114,11 @@ class PathFollower:
         return float(limited - state[EGO_STEERING]) / _ACTUATION
 
     def roll_out(
-        self, state: FloatArray, acceleration: AccelerationLaw, steps: int = PLAN_STEPS
+        self,
+        state: FloatArray,
+        acceleration: AccelerationLaw,
+        steps: int = PLAN_STEPS,
+        last: float | None = None,
     ) -> Plan:
         """A plan that follows the path with a given law for the speed.
 
@@ -123,6 +127,8 @@ class PathFollower:
             acceleration: From step, arc length of the rear axle, m, and velocity, m/s, to
                 acceleration, m/s2.
             steps: Number T of steps.
+            last: Arc length at which it was a step ago, m; None where it does not matter on which
+                of several laps it is.
 
         Returns:
             The plan; its inputs are what the actuators can deliver.
@@ -130,7 +136,8 @@ class PathFollower:
         states, inputs = [state], []
         for step in range(steps):
             now = states[-1]
-            s = float(self.path.locate(now[:2]))
+            s = float(self.path.locate(now[:2]) if last is None else self.path.track(now[:2], last))
+            last = None if last is None else s
             law = acceleration(step, s, float(now[EGO_VELOCITY]))
             wanted = np.array([self.steering_rate(now, s), law])
             inputs.append(self.vehicle.clip_input(now, wanted, self.dt))

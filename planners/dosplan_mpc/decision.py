@@ -24,7 +24,7 @@ from dosplan.types import IntArray, Observation, Occupancy
 from dosplan_mpc.lane_change import Gap, GapDecision, OnLane
 from dosplan_mpc.passing import Pass, PassingDecision
 from dosplan_mpc.reference import EgoOnPath
-from dosplan_mpc.speed_profile import SpeedProfile
+from dosplan_mpc.speed_profile import SpeedLimit, SpeedProfile
 
 Kind = tuple[str | float | None, ...]
 """What tells one class of plans from another; the same from cycle to cycle while it is kept."""
@@ -279,6 +279,7 @@ class Decisions:
         occupancy: Occupancy,
         ego: EgoOnPath,
         profile: SpeedProfile,
+        limit: SpeedLimit,
     ) -> Decision:
         """Adds the gap into which the ego changes lanes, where nothing else was decided.
 
@@ -291,6 +292,7 @@ class Decisions:
             occupancy: The sets of the road users, in the same order.
             ego: Where the ego is.
             profile: The reference without a gap.
+            limit: How fast the ego may be ahead.
 
         Returns:
             The decision.
@@ -298,5 +300,5 @@ class Decisions:
         if decision.chosen:
             self._gaps.give_up()
             return decision
-        gap = self._gaps.decide(observation, occupancy, ego, profile)
+        gap = self._gaps.decide(observation, occupancy, ego, profile, limit)
         return decision if gap is None else decision.joined(TakeGap(gap))

@@ -284,8 +284,10 @@ class MpcEpisode:
         cruise = float(np.clip(cruise, *self._velocity))
         lost = self._reach.lost(observation.step, observation.ego, ego.position)
         window = self._speed.next_goal(ego, lost)
-        profile = self._speed.plan(ego, replace(traffic, cruise=cruise), window, decision.stop)
-        decision = self._decisions.about_gaps(decision, observation, occupancy, ego, profile)
+        profile, limit = self._speed.plan(
+            ego, replace(traffic, cruise=cruise), window, decision.stop
+        )
+        decision = self._decisions.about_gaps(decision, observation, occupancy, ego, profile, limit)
         profile = decision.lead(profile)
         if decision.leads:  # It is elsewhere along the path now.
             profile = self._speed.beside_goal(profile, window, ego.step, decision.entry)

@@ -34,7 +34,7 @@ from dosplan.vehicle import VehicleParameters
 from dosplan_mpc.config import GapSettings
 from dosplan_mpc.goal_window import GoalWindow
 from dosplan_mpc.reference import EgoOnPath
-from dosplan_mpc.speed_profile import SpeedProfile
+from dosplan_mpc.speed_profile import SpeedLimit, SpeedProfile
 
 _STEP: Final = 0.2  # s; of the drives that are tried.
 _KNOTS: Final = 5  # Steps between the predicted places that are looked at.
@@ -273,6 +273,7 @@ class GapDecision:
         occupancy: Occupancy,
         ego: EgoOnPath,
         profile: SpeedProfile,
+        limit: SpeedLimit,
     ) -> Gap | OnLane | None:
         """The gap that the ego goes to.
 
@@ -281,6 +282,7 @@ class GapDecision:
             occupancy: The sets of the road users, in the same order.
             ego: Where the ego is.
             profile: The reference without this decision.
+            limit: How fast the ego may be ahead.
 
         Returns:
             The gap, or that the ego has changed into it; None where there is no change of lanes
@@ -300,16 +302,17 @@ class GapDecision:
         beside, ahead = self._lanes(observation, ego, change)
         if not beside.any():
             return None
-        users = self._users(observation, occupancy, np.flatnonzero(beside))
+        users = self._users(observation, occupancy, ego, np.flatnonzero(beside))
         if kept is None and not self._in_the_way(users, change, profile):
             return None
-        own = self._own_lane(observation, np.flatnonzero(ahead), change)
-        gaps = self._gaps(users, change, ego, profile, *own)
+        own = self._own_lane(observation, ego, np.flatnonzero(ahead), change)
+        wanted = float(profile.velocity[-1])
+        gaps = self._gaps(users, change, ego, wanted, limit, *own)
         known = next((gap for gap in gaps if gap.is_between(kept)), None)
         open_ones = [gap for gap in gaps if gap.is_open]
         if not open_ones or (known is not None and not known.is_open):
             # A gap that is tight is taken where there is no other, or where the ego is on its way.
-            tight = self._gaps(users, change, ego, profile, *own, self._settings.tight)
+            tight = self._gaps(users, change, ego, wanted, limit, *own, self._settings.tight)
             open_ones += [
                 gap for gap in tight if gap.is_open and (not open_ones or gap.is_between(kept))
             ]
@@ -349,7 +352,7 @@ class GapDecision:
     ) -> tuple[BoolArray, BoolArray]:
         """(N,) who is on the lane that the ego goes to, and who is ahead on its own."""
         now = observation.present
-        along = self._path.locate(now[:, :2])
+        along = self._path.locate(now[:, :2], ego.position)
         across = self._path.project(now[:, :2], along, iterations=1)[1]
         turn = now[:, USER_HEADING] - self._path.heading_at(along)
         near = np.abs(along - ego.position) < self._settings.reach
@@ -362,10 +365,12 @@ class GapDecision:
         own &= np.abs(across - change.before(along)) < half
         return beside, own
 
-    def _users(self, observation: Observation, occupancy: Occupancy, rows: IntArray) -> _Users:
+    def _users(
+        self, observation: Observation, occupancy: Occupancy, ego: EgoOnPath, rows: IntArray
+    ) -> _Users:
         """The road users of some rows along the path, from the last to the first."""
         dt, now = observation.dt, observation.present
-        along = self._path.locate(now[rows, :2])
+        along = self._path.locate(now[rows, :2], ego.position)
         order = np.argsort(along, kind="stable")
         rows, along = rows[order], along[order]
         now = now[rows]
@@ -414,7 +419,7 @@ class GapDecision:
         return bool((close & there).any())
 
     def _own_lane(
-        self, observation: Observation, rows: IntArray, change: LaneChange
+        self, observation: Observation, ego: EgoOnPath, rows: IntArray, change: LaneChange
     ) -> tuple[FloatArray, float]:
         """What bounds the ego until it has changed.
 
@@ -426,7 +431,7 @@ class GapDecision:
         if not len(rows):
             return end, 1.0
         now, size = observation.present[rows], observation.size[rows]
-        along = self._path.locate(now[:, :2])
+        along = self._path.locate(now[:, :2], ego.position)
         speed = np.where(observation.moves[rows], now[:, USER_VELOCITY], 0.0)
         ahead = along - 0.5 * size[:, 0] - self._settings.clearance
         ahead = ahead[:, None] + speed[:, None] * self._time
@@ -446,7 +451,8 @@ class GapDecision:
         users: _Users,
         change: LaneChange,
         ego: EgoOnPath,
-        profile: SpeedProfile,
+        wanted: float,
+        limit: SpeedLimit,
         stop: FloatArray,
         clear: float,
         share: float = 1.0,
@@ -466,7 +472,7 @@ class GapDecision:
         done = self._done(change, ego)
         span = max(settings.seconds * (1.0 - done), _STEP)
         until_clear = settings.seconds * max(clear - done, 0.0)
-        wanted = float(profile.velocity[-1])
+        allowed = np.minimum(limit.velocity, limit.legal)
         place, velocity = np.full((count, steps), ego.position), np.full((count, steps), 0.0)
         velocity[:, 0] = ego.velocity
         inside = np.zeros((count, steps), dtype=np.bool_)
@@ -482,6 +488,7 @@ class GapDecision:
             fastest = fast[:, k] + gain * (high[:, k] - inset[:, k] - x)
             slowest = slow[:, k] + gain * (low[:, k] + inset[:, k] - x)
             asked = np.minimum(np.maximum(wanted, slowest), fastest)
+            asked = np.minimum(asked, np.interp(x, limit.arclength, allowed))
             room = np.maximum(stop[k] - half - x, 0.0)
             bound = np.sqrt(2.0 * settings.braking * room)
             # What ends its own lane holds it up until it can be past before it gets there.

@@ -256,7 +256,7 @@ class PassingDecision:
         """
         settings = self._settings
         now = observation.present
-        along = self._path.locate(now[:, :2])
+        along = self._path.locate(now[:, :2], ego.position)
         across = self._path.offset(now[:, :2], along)
         turn = now[:, USER_HEADING] - self._path.heading_at(along)
         comes = observation.moves & (np.cos(turn) < _ONCOMING)
@@ -270,7 +270,7 @@ class PassingDecision:
         sets, rows, _ = occupancy.by_component()
         t = sets.horizon - 1
         far = np.where(sets.valid[:, t, None], sets.centre[:, t], now[rows, :2])
-        reach = self._path.locate(far) - sets.semi_axes[:, t].max(axis=-1)
+        reach = self._path.locate(far, ego.position) - sets.semi_axes[:, t].max(axis=-1)
         ahead = (t + 1) * observation.dt
         allowed = np.where(sets.valid[:, t], (along[rows] - reach) / ahead, -np.inf)
         fastest = np.array(now[:, USER_VELOCITY])

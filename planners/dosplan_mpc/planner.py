@@ -14,7 +14,7 @@ from dosplan_mpc.episode import MpcEpisode
 class MpcPlanner(Planner):
     """Model-predictive control that keeps out of occupancy sets."""
 
-    name: ClassVar[str] = "mpc-v11"
+    name: ClassVar[str] = "mpc-v12"
 
     settings: ClassVar[type[MpcConfig]] = MpcConfig
 

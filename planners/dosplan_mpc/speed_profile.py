@@ -205,7 +205,7 @@ class SpeedPlanner:
         traffic: Traffic,
         window: GoalWindow | None,
         stop: float | None = None,
-    ) -> SpeedProfile:
+    ) -> tuple[SpeedProfile, SpeedLimit]:
         """Speed and offset: for the goal where there is one, with the traffic otherwise.
 
         Args:
@@ -215,7 +215,7 @@ class SpeedPlanner:
             stop: Arc length at which the ego's centre has to come to stand, m, or None.
 
         Returns:
-            The reference.
+            The reference, and how fast the ego may be ahead in the style that was chosen.
         """
         limit, target = self._choose_style(window, ego, traffic)
         waiting = (
@@ -238,13 +238,13 @@ class SpeedPlanner:
             comfort = min(comfort, self._config.utmost.comfort)
         if window is None:
             profile = _without_goal(velocity, arclength, comfort)
-            return replace(profile, station_weight=weights) if held else profile
+            return (replace(profile, station_weight=weights) if held else profile), limit
         profile = replace(
             _without_goal(velocity, arclength, comfort),
             station_weight=weights,
             offset=self._offset(window, arclength, max(ego.velocity, target)),
         )
-        return self.beside_goal(profile, window, ego.step)
+        return self.beside_goal(profile, window, ego.step), limit
 
     def beside_goal(
         self, profile: SpeedProfile, window: GoalWindow | None, step: int, entry: float = 0.0
@@ -419,6 +419,8 @@ class SpeedPlanner:
         low = lowest + settings.velocity_margin * (highest - lowest)
         run_up = np.maximum(window.begin - arclength, 0.0)
         at_least = np.sqrt(np.maximum(low**2 - 2.0 * style.longitudinal * run_up, 0.0))
+        if settings.limit_first:
+            at_least = np.minimum(at_least, legal)
         return np.asarray(np.maximum(velocity, at_least))
 
     def _stopping(self, ego: EgoOnPath, velocity: FloatArray, stop: float) -> FloatArray:

@@ -72,7 +72,9 @@ class Lane:
             return Traffic(cruise, pressed, np.zeros(0, dtype=np.bool_))
         now = observation.present
         points = now[:, [USER_X, USER_Y]]
-        along, across = self.path.project(points, self.path.locate(points), iterations=1)
+        along, across = self.path.project(
+            points, self.path.locate(points, ego.position), iterations=1
+        )
         turn = now[:, USER_HEADING] - self.path.at(along)[:, PATH_HEADING]
         lane = np.cos(turn) > settings.alignment
         lane &= np.abs(across - ego.offset) < settings.side

@@ -120,6 +120,7 @@ class Peer(Planner):
         self._last: Trajectory | None = None
         self._last_step = task.start_step
         self._path = ReferencePath.of(task.route)
+        self._place = self._path.locate_first(vehicle.centre(task.start))
         self._rules = StopRules(task, self._settings.stops) if self._settings.rules else None
         self.build(task, road_map, vehicle)
 
@@ -146,8 +147,8 @@ class Peer(Planner):
                 acceleration = float(after - before) / observation.dt
         wait, stop = None, None
         if self._rules is not None:
-            centre = float(self._path.locate(self._vehicle.centre(observation.ego)))
-            front = centre + 0.5 * self._vehicle.length
+            self._place = self._path.track(self._vehicle.centre(observation.ego), self._place)
+            front = self._place + 0.5 * self._vehicle.length
             wait = self._rules.wait(observation, occupancy, front)
             if wait is not None:
                 way = wait.place - front - self.delay * float(observation.ego[EGO_VELOCITY])

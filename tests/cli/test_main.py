@@ -158,7 +158,7 @@ def test_run_tells_planner_failures_by_its_exit_code_and_on_stderr(
         (["--planner", "mpc", "--set", "planner.horizon=many"], "option 'horizon' is 'many'"),
         (
             ["--planner", "mpc", "--set", "predictor.horizon=20"],
-            "planner mpc-v11 looks 30 steps ahead, predictor still-v1 predicts 20; raise",
+            "planner mpc-v12 looks 30 steps ahead, predictor still-v1 predicts 20; raise",
         ),
     ],
 )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from dosplan_simple.predictors import ConstantVelocityPredictor
 
+from dosplan.api import Predictor
 from dosplan.cli import main as cli
 from dosplan.cli.main import main
 from dosplan.evaluation.evaluate import EvaluationConfig, EvaluationError, evaluate
@@ -27,7 +28,7 @@ from dosplan.evaluation.summary import scales, summarise
 from dosplan.evaluation.windows import HORIZON_COLUMNS, moments
 from dosplan.geometry import NO_LIGHT, set_area
 from dosplan.plugins.registry import create_predictor
-from dosplan.scenario.synthetic import steady_tracks, straight_scenario
+from dosplan.scenario.synthetic import growing_sets, steady_tracks, straight_scenario
 from dosplan.system.files import read_json
 from dosplan.types import (
     COLOURS,
@@ -251,6 +252,34 @@ def test_limits_of_a_union_are_those_of_the_best_of_its_components() -> None:
     assert area["fork", "circle, best of 2"] == pytest.approx(0.0, abs=1e-9)
     assert area["fork", "v2"] > 1.0 > area["fork", "v2, best of 2"]
     assert ("cv", "circle, best of 2") not in area
+
+
+def test_limits_are_of_the_headings_that_a_method_predicts() -> None:
+    """Two methods foretell the same places with other headings."""
+
+    class Turned(Predictor):
+        name = "turned"
+        by = 0.0
+
+        def compute_occupancy(self, observation: Observation) -> Occupancy:
+            sets = growing_sets(observation, self.horizon)
+            heading = sets.heading + self.by
+            return Occupancy.from_trajectory(
+                observation, sets.centre, heading, sets.semi_axes, sets.angle
+            )
+
+    class MoreTurned(Turned):
+        by = 0.7
+
+    methods = [("straight", Turned()), ("turned", MoreTurned())]
+    areas = []
+    for chosen in (methods, methods[:1], methods[1:]):
+        samples = [sample_file(_turning(), chosen, 10)]
+        figures = summarise(samples, [label for label, _ in chosen], scales(samples))
+        limits = _of(figures["upper_limits"], group="all", horizon_s=4.0)
+        areas.append({x["model"]: x["area"] for x in limits if x["representation"] == "v2"})
+    assert areas[0] == pytest.approx({**areas[1], **areas[2]})
+    assert areas[0]["turned"] != pytest.approx(areas[0]["straight"], rel=0.05)
 
 
 def test_a_union_scaled_to_a_level_or_an_area_has_that_level_or_area() -> None:

@@ -86,6 +86,40 @@ def test_on_a_ring_the_first_lap_counts() -> None:
         assert even.locate_first(point) == float(even.locate(point))
 
 
+def test_on_a_ring_others_are_located_near_the_ego() -> None:
+    lap = 2.0 * math.pi * RADIUS
+    ring = EvenPath.of(arc_route(RADIUS, length=2.4 * lap))
+    for ego in (0.5 * lap, 1.2 * lap, 1.8 * lap):
+        ahead = ego + np.linspace(-0.2, 0.5, 30) * lap
+        others = np.stack([beside_arc(s / RADIUS, 1.0) for s in ahead])
+        np.testing.assert_allclose(ring.locate(others, ego), ahead, atol=0.05)
+        np.testing.assert_allclose(ring.locate(others, np.full(30, ego)), ahead, atol=0.05)
+    even = EvenPath.of(ARC)
+    points = np.stack([beside_arc(a, 1.0) for a in (0.3, 1.0, 1.7)])
+    np.testing.assert_array_equal(even.locate(points, 3.0), even.locate(points))
+
+
+@pytest.mark.parametrize("step", [2.0, 35.0])
+def test_who_drives_round_a_ring_or_turns_back_is_followed(step: float) -> None:
+    ring = ReferencePath.of(arc_route(RADIUS, length=2.4 * 2.0 * math.pi * RADIUS))
+    driven = np.arange(3.0, float(ring.arclength[-1]), step)
+    points = np.stack([beside_arc(s / RADIUS, -0.6) for s in driven])
+    np.testing.assert_allclose(ring.follow(points), driven, atol=0.05)
+
+
+def test_who_turns_back_beside_its_own_way_is_followed() -> None:
+    way = np.arange(0.0, 60.0, 0.5)
+    x, y = np.append(way, way[::-1]), np.repeat([0.0, 1.2], len(way))
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    turn = ReferencePath(
+        along, np.stack([x, y], axis=1), np.where(y > 0.0, np.pi, 0.0), np.zeros_like(x)
+    )
+    aside = np.where(x < 50.0, 0.62, 0.5)  # Nearer to the other side, but where it turns.
+    places = np.stack([x, y + np.where(y > 0.0, -aside, aside)], axis=1)
+    np.testing.assert_allclose(turn.follow(places), along, atol=1.1)
+    assert np.abs(turn.locate(places) - along).max() > 100.0
+
+
 def test_arc_lengths_are_those_the_path_was_given() -> None:
     route = straight_route()  # From x = -20 m on.
     shifted = ReferencePath(route.arclength - 7.0, route.path, route.heading, route.curvature)

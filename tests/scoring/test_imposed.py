@@ -304,3 +304,14 @@ def test_rows_say_it_of_traffic_that_reacts_and_of_no_other() -> None:
     shy = score(scenario, braking_before(ShyTraffic())).measures["imposed_braking"]
     assert shy is not None
     assert shy > 5.0  # It stands from one step to the next.
+
+
+def test_braking_of_who_comes_later_is_imposed_too() -> None:
+    """Nobody is there a step after the start."""
+    scenario = straight_scenario(steady_tracks([[-20.0, 0.0, 0.0, 10.0]], steps=STEPS))
+    valid = np.array(scenario.tracks.valid)
+    valid[:, :5] = False
+    recorded = replace(scenario.tracks, valid=valid)
+    braked = replace(slowed(scenario, 10, 3.0), valid=valid)
+    assert imposed_braking(recorded, braked, 0, STEPS - 1, DT) == pytest.approx(3.0)
+    assert imposed_braking(recorded, replace(recorded), 0, STEPS - 1, DT) == 0.0

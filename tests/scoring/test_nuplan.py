@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dosplan.scenario.synthetic import straight_scenario
+from dosplan.scenario.synthetic import steady_tracks, straight_scenario
 from dosplan.scoring.nuplan import NuplanScore
 from dosplan.scoring.score import failed_score, score
 from dosplan.simulation.loop import known_drive
-from dosplan.types import Arm, EpisodeEnd, EpisodeKey
+from dosplan.types import EGO_VELOCITY, EGO_X, EGO_Y, Arm, EpisodeEnd, EpisodeKey
 
 ALL = NuplanScore(**{field.name: 1.0 for field in fields(NuplanScore)})
 MULTIPLIERS = (
@@ -71,3 +71,22 @@ def test_a_planner_that_fails_has_a_score_of_zero() -> None:
     broken = replace(drive, end=EpisodeEnd.PLANNER_FAILURE, error="it broke")
     assert score(scenario, broken).measures["nuplan_score"] == 0.0
     assert score(scenario, drive).measures["nuplan_score"] != 0.0
+
+
+@pytest.mark.parametrize(("y", "lost"), [(-1.1, 1.0), (-0.9, 0.0)])
+def test_who_comes_near_from_beside_counts_where_the_ego_is_over_the_edge(
+    y: float, lost: float
+) -> None:
+    """The ego is 0.15 m over the road's edge, or 0.05 m inside; a car drifts in from beside."""
+    beside = steady_tracks([[1.4227, 1.6, -0.2, 10.0]], steps=2)
+    states = np.zeros((2, 5))
+    states[:, EGO_X], states[:, EGO_Y], states[:, EGO_VELOCITY] = np.arange(2), y, 10.0
+    found = []
+    for tracks in (steady_tracks(steps=2), beside):
+        scenario = straight_scenario(tracks, velocity=10.0, final_step=50)
+        drive = known_drive(scenario, Arm.WITH_DOS, 0, states)
+        found.append(score(scenario, drive).measures["nuplan_score"])
+    alone, near = found
+    assert isinstance(alone, float)
+    assert isinstance(near, float)
+    assert alone - near == pytest.approx(lost * 5.0 / 16.0)

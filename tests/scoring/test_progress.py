@@ -19,6 +19,8 @@ from dosplan.scoring.score import score
 from dosplan.simulation.loop import known_drive
 from dosplan.types import (
     COLOURS,
+    EGO_HEADING,
+    EGO_VELOCITY,
     Arm,
     GoalState,
     LightColour,
@@ -28,6 +30,7 @@ from dosplan.types import (
     Signals,
     StopCause,
 )
+from tests.support.factories import arc_route
 
 BOX = shapely.box(40.0, -2.0, 60.0, 2.0)
 
@@ -124,3 +127,22 @@ def test_who_waits_at_a_red_light_succeeds_where_the_goal_is_a_time() -> None:
         states[3:, 3] = 0.0
         outcomes[colour] = score(scenario, known_drive(scenario, Arm.WITH_DOS, 0, states)).outcome
     assert outcomes == {LightColour.RED: Outcome.SUCCESS, LightColour.GREEN: Outcome.GOAL_MISSED}
+
+
+def test_progress_round_a_ring_is_the_way_that_was_driven() -> None:
+    """A lap and a half, half a metre beside the path: the first lap is as near as the second."""
+    radius, velocity, dt = 30.0, 10.0, 0.1
+    straight = straight_scenario(velocity=velocity, final_step=400)
+    route = arc_route(radius, length=2.4 * 2.0 * np.pi * radius)
+    road_map = replace(straight.road_map, drivable=shapely.box(-200, -200, 200, 200))
+    angle = (5.0 + velocity * dt * np.arange(1.5 * 2.0 * np.pi * radius)) / radius
+    centre = np.stack([np.sin(angle), -np.cos(angle)], axis=1) * (radius + 0.5) + [0.0, radius]
+    vehicle = straight.task.vehicle
+    forward = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    states = np.zeros((len(angle), 5))
+    states[:, :2] = centre - vehicle.rear_to_centre * forward
+    states[:, EGO_HEADING], states[:, EGO_VELOCITY] = angle, velocity
+    task = replace(straight.task, route=route, start=states[0], goals=(GoalState(400, 400),))
+    scenario = replace(straight, road_map=road_map, task=task)
+    found = score(scenario, known_drive(scenario, Arm.WITH_DOS, 0, states))
+    assert found.progress == pytest.approx(radius * (angle[-1] - angle[0]), abs=0.5)

@@ -23,6 +23,8 @@ from dosplan.scoring.score import score
 from dosplan.simulation.loop import known_drive
 from dosplan.types import (
     COLOURS,
+    EGO_VELOCITY,
+    EGO_X,
     Arm,
     Episode,
     FloatArray,
@@ -34,7 +36,10 @@ from dosplan.types import (
     RoadUserKind,
     Scenario,
     Signals,
+    SignRule,
+    StopLine,
     TrafficLight,
+    TrafficSign,
 )
 from dosplan.vehicle import VehicleParameters
 from tests.support.suite import SUITE, Row, drives, each
@@ -173,3 +178,28 @@ def test_what_holds_for_any_drive_along_a_lane(
     assert found["max_overspeed"] == pytest.approx(max(velocities.max() - 8.0, 0.0))
     assert 0.0 <= found["speed_limit_compliance"] <= 1.0
     assert 0.0 <= found["nuplan_score"] <= 1.0
+
+
+def test_a_stop_line_is_passed_once_though_lanelets_overlap_there() -> None:
+    """Two lanelets come together before the line, as where ways from a fork meet again."""
+    straight = straight_scenario(velocity=10.0, final_step=50)
+    x = np.arange(-50.0, 61.0, 10.0)
+    side = np.full(len(x), 1.75)
+    line = StopLine(np.array([[40.0, 1.75], [40.0, -1.75]]), signs=(9,))
+    before = [
+        Lanelet(
+            id=name,
+            left=np.stack([x, side], axis=1),
+            right=np.stack([x, -side], axis=1),
+            stop_line=line,
+            signs=(9,),
+        )
+        for name in (1, 2)
+    ]
+    sign = TrafficSign(9, "206", SignRule.STOP, lanelets=(1, 2))
+    road_map = replace(straight.road_map, lanelets=tuple(before), signs=(sign,))
+    scenario = replace(straight, road_map=road_map)
+    states = np.zeros((51, 5))
+    states[:, EGO_X], states[:, EGO_VELOCITY] = np.arange(51.0), 10.0
+    found = score(scenario, known_drive(scenario, Arm.WITH_DOS, 0, states))
+    assert found.measures["stop_lines_ignored"] == 1

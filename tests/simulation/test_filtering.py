@@ -120,3 +120,16 @@ def test_who_was_lost_for_too_long_is_begun_anew() -> None:
     found = tracks.measure(both, elsewhere)
     np.testing.assert_array_equal(found[0], elsewhere[0])
     assert np.abs(found[1] - elsewhere[1]).max() > 0.5
+
+
+def test_nothing_is_kept_of_who_was_lost_for_too_long() -> None:
+    again, new = TrackFilter(SENSING, DT), TrackFilter(SENSING, DT)
+    for tracks in (again, new):
+        tracks.add(np.ones(1, dtype=np.bool_))
+    one = np.zeros(1, dtype=np.int64)
+    for k in range(30):  # It speeds up by 3 m/s2 in a bend.
+        again.measure(one, np.array([[0.4 * k, 0.01 * k**2, 0.03 * k, 4.0 + 0.3 * k]]))
+    again.forget(np.ones(1, dtype=np.bool_))
+    for k in range(10):
+        shown = np.array([[50.0 + k, 5.0 + 0.1 * np.sin(k), 0.1, 10.0 + 0.2 * np.cos(k)]])
+        np.testing.assert_array_equal(again.measure(one, shown), new.measure(one, shown))

@@ -70,7 +70,7 @@ def with_wheels_turned(
     if start[EGO_STEERING] != 0.0:
         return start
     path = ReferencePath.of(route)
-    along = path.locate(start[:2])
+    along = path.locate_first(start[:2])
     if np.cos(start[EGO_HEADING] - path.heading_at(along)) < _ALONG_ROUTE:
         return start
     limit = vehicle.max_steering

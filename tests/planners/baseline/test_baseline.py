@@ -52,6 +52,7 @@ from tests.support.factories import arc_route, occupancy_at, union_of
 
 VEHICLE = VehicleParameters()
 FRONT = VEHICLE.rear_to_centre + 0.5 * VEHICLE.length
+EGO_PLACE = 20.0 + VEHICLE.rear_to_centre  # Of the straight scenario's ego on its path.
 
 
 def ego(x: float, y: float, velocity: float, heading: float = 0.0) -> FloatArray:
@@ -167,7 +168,8 @@ def leaders_of(scenario: Scenario, occupancy: Occupancy | None = None) -> tuple[
     seen = World(scenario, first_step=0, history=5).observation()
     sets = ConstantVelocityPredictor().predict(seen) if occupancy is None else occupancy
     path = extended_path(scenario.task.route)
-    found = find_leaders(path, seen, sets, VEHICLE, IDM)
+    ego = float(path.locate(VEHICLE.centre(seen.ego)))
+    found = find_leaders(path, ego, seen, sets, VEHICLE, IDM)
     if not len(found.rear):
         return math.nan, math.nan
     nearest = int(np.argmin(found.rear))
@@ -280,9 +282,53 @@ def test_idm_desires_the_speed_that_the_goal_asks_for(
 ) -> None:
     goal = GoalState(first_step=50, last_step=50, region=region, velocity=velocity)
     scenario = straight_scenario(goals=[goal])
-    seen = World(scenario, first_step=0, history=5).observation()
-    found = IdmEpisode(IDM, scenario.task, VEHICLE).desired_velocity(seen)
+    found = IdmEpisode(IDM, scenario.task, VEHICLE).desired_velocity(0, EGO_PLACE)
     assert found == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("velocity", [10.0, 18.0])
+def test_idm_is_slow_enough_when_a_bend_begins(velocity: float) -> None:
+    radius, spacing = 15.0, 0.5
+    s = np.arange(0.0, 300.0, spacing)
+    curvature = np.where((s > 100.0) & (s < 100.0 + 0.5 * np.pi * radius), 1.0 / radius, 0.0)
+    heading = np.append(0.0, np.cumsum(0.5 * spacing * (curvature[1:] + curvature[:-1])))
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    steps = spacing * np.stack([np.cos(middle), np.sin(middle)], axis=1)
+    points = np.array([-20.0, 0.0]) + np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    straight = straight_scenario(velocity=velocity, final_step=120)
+    wide = np.full(len(s), 5.0)
+    route = replace(
+        straight.task.route,
+        arclength=s,
+        path=points,
+        heading=heading,
+        curvature=curvature,
+        left=wide,
+        right=-wide,
+        outer_left=wide,
+        outer_right=-wide,
+        speed_limit=np.full(len(s), np.inf),
+    )
+    everywhere = box(-500.0, -500.0, 500.0, 500.0)
+    task = replace(straight.task, route=route, goals=(GoalState(120, 120, everywhere),))
+    road_map = replace(straight.road_map, drivable=everywhere)
+    drive = run_episode(
+        replace(straight, task=task, road_map=road_map), IdmPlanner(), NonePredictor(), Arm.WITH_DOS
+    )
+    lateral = drive.states[:, EGO_VELOCITY] ** 2 * np.tan(drive.states[:, 2]) / VEHICLE.wheelbase
+    assert 2.0 < np.abs(lateral).max() < 1.2 * IDM.lateral_acceleration
+
+
+def test_idm_is_within_a_lower_limit_where_that_begins() -> None:
+    scenario = straight_scenario(velocity=13.0, final_step=100)
+    x = scenario.task.route.path[:, 0]
+    route = replace(scenario.task.route, speed_limit=np.where(x < 80.0, 13.9, 8.3))
+    scenario = replace(scenario, task=replace(scenario.task, route=route))
+    drive = run_episode(scenario, IdmPlanner(), NonePredictor(), Arm.WITH_DOS)
+    centre = VEHICLE.centre(drive.states)[:, 0]
+    assert drive.states[centre >= 80.0, EGO_VELOCITY].max() < 8.3 + 0.05
+    assert drive.states[centre < 60.0, EGO_VELOCITY].min() > 8.5
+    assert np.diff(drive.states[:, EGO_VELOCITY]).min() > -0.1 * (IDM.deceleration + 0.1)
 
 
 def test_idm_goes_to_the_goal_that_it_can_reach() -> None:
@@ -293,9 +339,9 @@ def test_idm_goes_to_the_goal_that_it_can_reach() -> None:
     aside = GoalState(0, 50, box(15.0, 60.0, 25.0, 70.0))
     for goals in ([far, near], [near, far], [aside, near]):
         scenario = straight_scenario(goals=goals)
-        seen = World(scenario, first_step=0, history=5).observation()
         episode = IdmEpisode(IDM, scenario.task, VEHICLE)
-        assert episode.needed_velocity(seen) == pytest.approx((17.0 - 1.4227) / 5.0, abs=1e-3)
+        needed = episode.needed_velocity(0, EGO_PLACE)
+        assert needed == pytest.approx((17.0 - 1.4227) / 5.0, abs=1e-3)
 
 
 def test_idm_takes_any_exponent_at_a_stop() -> None:

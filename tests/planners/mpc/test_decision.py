@@ -16,7 +16,7 @@ from dosplan_mpc.goal_window import GoalWindow
 from dosplan_mpc.lane_change import Gap, GapDecision, lane_changes
 from dosplan_mpc.planner import MpcPlanner
 from dosplan_mpc.reference import EgoOnPath, aligned_path
-from dosplan_mpc.speed_profile import SpeedProfile
+from dosplan_mpc.speed_profile import SpeedLimit, SpeedProfile
 from dosplan_simple.sets import ErrorCirclePredictor
 
 from dosplan.geometry import Wait
@@ -104,10 +104,15 @@ class Decider:
     """A decision for a gap on a straight road, cycle by cycle, with the ego where it is put."""
 
     def __init__(
-        self, folder: Path, settings: GapSettings = DEFAULT, windows: Sequence[GoalWindow] = ()
+        self,
+        folder: Path,
+        settings: GapSettings = DEFAULT,
+        windows: Sequence[GoalWindow] = (),
+        limit: float = 100.0,
     ) -> None:
         self.scenario = column_scene(folder, 8.0, [0.0], 100.0, left=True)
         self.path = aligned_path(self.scenario.task, MpcConfig().path)
+        self.limit = limit
         self.decision = GapDecision(
             settings,
             self.path,
@@ -126,7 +131,7 @@ class Decider:
 
     def scene(
         self, places: Sequence[float], speed: float = 8.0, x: float = 120.0, y: float = 0.0
-    ) -> tuple[Observation, Occupancy, EgoOnPath, SpeedProfile]:
+    ) -> tuple[Observation, Occupancy, EgoOnPath, SpeedProfile, SpeedLimit]:
         """The same as the decision is shown it; the ego is at (x, y)."""
         task, n = self.scenario.task, len(places)
         ahead = np.array(places)
@@ -165,7 +170,20 @@ class Decider:
             heading_weight=np.zeros(31),
             comfort=np.ones(31),
         )
-        return observation, occupancy, place, profile
+        grid, most = position + np.arange(200.0), np.full(200, self.limit)
+        limit = SpeedLimit(grid, most, MpcConfig().calm, most)
+        return observation, occupancy, place, profile, limit
+
+
+def test_a_gap_is_entered_within_the_speed_limit(tmp_path: Path) -> None:
+    """The gap is ahead of the ego, which speeds up to be beside it."""
+    fastest = {}
+    for limit in (8.5, 100.0):
+        gap = Decider(tmp_path, limit=limit).decide([-6.0, 1.5, 30.0])
+        assert gap is not None
+        fastest[limit] = float(gap.velocity.max())
+    assert fastest[8.5] <= 8.5 + 1e-9
+    assert fastest[100.0] > 9.0
 
 
 def test_a_change_of_lanes_has_its_place_along_the_path(tmp_path: Path) -> None:

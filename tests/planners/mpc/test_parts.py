@@ -87,7 +87,7 @@ def speed_planner(
 
 def planned(planner: SpeedPlanner, ego: EgoOnPath, traffic: Traffic) -> SpeedProfile:
     """The reference for the next goal."""
-    return planner.plan(ego, traffic, planner.next_goal(ego))
+    return planner.plan(ego, traffic, planner.next_goal(ego))[0]
 
 
 def road_along(path: EvenPath) -> Road:
@@ -415,15 +415,15 @@ def test_a_line_that_does_not_bind_lets_the_ego_wait_in_its_goal() -> None:
     path = path_of(task.route)
     planner, ego = speed_planner(path, *goals_of(task, path)), at(21.2, 0.0)
     window = planner.next_goal(ego)
-    alone, before_a_line = (planner.plan(ego, FREE, window, stop) for stop in (None, 45.0))
+    alone, before_a_line = (planner.plan(ego, FREE, window, stop)[0] for stop in (None, 45.0))
     np.testing.assert_array_equal(before_a_line.station_weight, alone.station_weight)
 
 
 def test_comfort_counts_less_for_who_stops_waits_or_is_late() -> None:
     path = path_of(straight_route())
-    free = speed_planner(path).plan(at(20.0, 10.0), FREE, None)
+    free = speed_planner(path).plan(at(20.0, 10.0), FREE, None)[0]
     assert np.all(free.comfort == 1.0)
-    stopping = speed_planner(path).plan(at(20.0, 10.0), FREE, None, 40.0)
+    stopping = speed_planner(path).plan(at(20.0, 10.0), FREE, None, 40.0)[0]
     assert np.all(stopping.comfort == CONFIG.utmost.comfort)
     region = box(10.0, -1.0, 20.0, 1.0)
     for goal, share in (
@@ -450,7 +450,7 @@ def test_before_a_gap_is_beside_the_ego_its_goal_asks_for_no_edge() -> None:
     planner = speed_planner(path, *goals_of(task, path))
     ego = at(25.0, 8.0)
     window = planner.next_goal(ego)
-    profile = planner.plan(ego, FREE, window)
+    profile, _ = planner.plan(ego, FREE, window)
     assert np.all(np.isfinite(profile.right))
     led = planner.beside_goal(profile, window, 0, entry=1.05)
     assert np.all(led.right[:11] == -np.inf)
@@ -919,7 +919,7 @@ def test_no_candidate_is_quicker_than_the_vehicle() -> None:
     sampler = Sampler(CONFIG, VEHICLE, path, road_along(path), DT)
     start = np.array([0.0, 0.0, 0.0, 50.0, 0.0, 0.0])
     ego = EgoOnPath(0, 20.0, 0.0, 21.42, 50.0)
-    profile = speed_planner(path).plan(ego, replace(FREE, cruise=60.0), None)
+    profile, _ = speed_planner(path).plan(ego, replace(FREE, cruise=60.0), None)
     found = sampler.sample(start, ego, profile).states[..., 3]
     assert found.max() > 50.5
     assert found.max() <= VEHICLE.max_velocity + 1e-9
@@ -970,3 +970,15 @@ def nothing_forbidden() -> ForbiddenSets:
         matrix=np.empty((0, 30, 2, 2)),
         penalty=np.empty((0, 30)),
     )
+
+
+@pytest.mark.parametrize(("first", "fastest"), [(False, 12.0), (True, 8.0)])
+def test_a_goal_may_ask_for_more_than_the_limit_unless_the_limit_comes_first(
+    first: bool, fastest: float
+) -> None:
+    task = goal_task(GoalState(0, 60, box(0.0, -2.0, 60.0, 2.0), velocity=(12.0, 14.0)))
+    path = path_of(task.route)
+    config = replace(CONFIG, speed=replace(CONFIG.speed, limit_first=first))
+    planner = speed_planner(path, *goals_of(task, path), limit=8.0, config=config)
+    velocity = planned(planner, at(21.0, 8.0), FREE).velocity
+    assert velocity.max() == pytest.approx(fastest, abs=1.0)

@@ -223,6 +223,8 @@ def show(parts: Sequence[RenderableType], figures: Any, json_path: Path | None) 
                 told = Prose(part) if isinstance(part, str) else part
                 out.print(told, highlight=False, markup=False)
         sys.stdout.flush()
+    except BrokenPipeError:
+        raise
     except OSError as error:
         # What could not be written is still buffered, and leaving would try to write it again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -242,7 +244,12 @@ def console(stderr: bool = False) -> Console:
     """
     from rich.console import Console
 
-    found = Console(stderr=stderr)
+    class Terminal(Console):
+        def on_broken_pipe(self) -> None:
+            """Leaves it to ``main``; rich itself would end the process as a failure."""
+            raise BrokenPipeError
+
+    found = Terminal(stderr=stderr)
     if not found.is_terminal:
         found.width = 200  # A pipe has no width: do not fold what a program may read.
     return found

@@ -6,6 +6,7 @@ Nothing heavy is imported before a command runs, so that ``dosplan --help`` is i
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -68,6 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         The exit code.
     """
+    _open_closed_streams()
     given = sys.argv[1:] if arguments is None else list(arguments)
     options = make_parser().parse_args(given)
     try:
@@ -76,10 +78,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("dosplan: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except BrokenPipeError:  # Whoever reads has what it wanted; everything else was done.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return OK
     except (DosplanError, OSError) as error:  # Plug-ins never raise as far as here.
         print(f"dosplan: error: {' '.join(str(error).split())}", file=sys.stderr)
         return BAD_INPUT
     return code
+
+
+def _open_closed_streams() -> None:
+    """Opens what the caller has closed: else the next file to be opened would be taken for it."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            # It gets the lowest number that is free, which is this one, and workers have it, too.
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
 
 
 @contextmanager

@@ -124,6 +124,8 @@ class LeaderboardCommand:
         if not options.rows.is_dir():
             raise FileError(f"{options.rows} is no folder; name that of the rows with --rows")
         rows = read_submissions(options.rows)
+        if not rows:
+            raise FileError(f"{options.rows} holds no rows; name their folder with --rows")
         page = leaderboard_page(rows)
         if not options.check:
             write_text(options.out, page)

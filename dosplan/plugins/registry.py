@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import sys
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 from importlib.metadata import EntryPoint, entry_points
@@ -23,6 +25,7 @@ from dosplan.plugins.settings import SettingsError, apply_options, plain_setting
 from dosplan.simulation.settings import LoopSettings
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import DosplanError, did_you_mean, failure_place, one_line
+from dosplan.system.folders import folder_kept
 
 _NO_OPTIONS: Final[Mapping[str, object]] = MappingProxyType({})
 _PLANNERS_SHARE: Final = 0.8  # Of the loop's period; the rest is the predictor's.
@@ -252,11 +255,13 @@ def find_plugin(kind: PluginKind, spec: str) -> Any:
             f"{kind.word} {spec!r}: expected a name, module:Class or path/to/file.py:Class"
         )
     try:
-        module = (
-            load_file(location, _shared_packages())
-            if location.endswith(".py")
-            else importlib.import_module(location)
-        )
+        # What it prints does not belong to stdout, and where it goes is nobody else's matter.
+        with redirect_stdout(sys.stderr), folder_kept():
+            module = (
+                load_file(location, _shared_packages())
+                if location.endswith(".py")
+                else importlib.import_module(location)
+            )
         found = getattr(module, attribute, None)  # A module may define __getattr__.
     except (Exception, SystemExit) as error:  # A plug-in's import may raise anything.
         raise RegistryError(

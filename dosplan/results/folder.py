@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import is_zipfile
 
 from dosplan.system.files import file_name
 from dosplan.types import EpisodeKey, Score
@@ -93,15 +94,16 @@ class RunFolder:
         return self.path / "solutions" / f"{file_name(scenario)}.{_part(key)}.xml"
 
     def holds(self, row: Score) -> bool:
-        """Whether the folder holds the episode file of a row.
+        """Whether the folder holds the whole episode file of a row.
 
         Args:
             row: A row.
 
         Returns:
-            Whether it is there; True where no planning cycle ran, since nothing is read then.
+            Whether it is there and has its end; True where no planning cycle ran, since nothing is
+            read then.
         """
-        return row.cycle_ms_p50 is None or self.recording(row.key).is_file()
+        return row.cycle_ms_p50 is None or is_zipfile(self.recording(row.key))
 
 
 def _part(key: EpisodeKey) -> str:

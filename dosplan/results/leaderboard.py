@@ -26,6 +26,8 @@ from dosplan.system.provenance import content_digest
 from dosplan.system.typed import plain, typed
 from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
+_DIGEST: Final = re.compile("[0-9a-f]{64}")
+
 COLUMNS: Final = ("success", "safe", "at_fault_collision", "velocity")
 """Names of the metrics that the leaderboard shows."""
 _DIGITS: Final = 4  # Decimals of an episode's velocity, m/s.
@@ -249,6 +251,10 @@ def read_submission(path: Path) -> Submission:
     """
     try:
         found = typed(read_json(path), Submission)
+        if not found.arms:
+            raise ValueError("it has no arm")
+        if not _DIGEST.fullmatch(found.set_digest):
+            raise ValueError("set_digest is no SHA-256")
         for arm, result in found.arms.items():
             _check(result, result.rows(arm), found.futures)
     except (ValueError, SubmissionError) as error:

@@ -138,7 +138,7 @@ def _differences(line: _Line, base: _Line | None) -> dict[str, Difference]:
 
 
 def _versions(members: Sequence[Submission]) -> list[str]:
-    return sorted({one.dosplan for one in members})
+    return sorted({escaped(one.dosplan) for one in members})
 
 
 def _named(one: Submission) -> str:

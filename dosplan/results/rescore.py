@@ -22,12 +22,13 @@ from dosplan.results.drive import Drive, DrivenScenarios, drives_of
 from dosplan.results.folder import RunFolder
 from dosplan.results.manifest import RunManifest
 from dosplan.results.markdown import summary_markdown
-from dosplan.results.rows import read_run, write_rows
+from dosplan.results.rows import read_rows, read_run, write_rows
 from dosplan.results.summary import summarise_run, write_summary
 from dosplan.scenario.sources.catalogue import Source
 from dosplan.scoring.score import score_driven
 from dosplan.system.errors import one_line
 from dosplan.system.files import FileError, write_text
+from dosplan.system.locks import exclusive
 from dosplan.types import EpisodeKey, Score
 
 _ROUNDING: Final = 1e-9
@@ -72,12 +73,20 @@ class Rescored:
         """Writes the rows and the summary in place of those of the run.
 
         Raises:
-            FileError: A file cannot be written.
+            FileError: A file cannot be written, or the run goes on or has gone on.
         """
-        write_rows(self.folder.rows, self.rows)
-        summary = summarise_run(self.folder, self.manifest, self.rows)
-        write_summary(self.folder, summary)
-        write_text(self.folder.summary_text, summary_markdown(summary))
+        with exclusive(self.folder.lock) as alone:
+            if not alone:
+                raise FileError(f"another process is driving the run in {self.folder.path}")
+            now = [row.key for row in read_rows(self.folder.rows)]
+            if now != [row.key for row in self.rows]:
+                raise FileError(
+                    f"{self.folder.rows} has changed since it was scored; score it again"
+                )
+            write_rows(self.folder.rows, self.rows)
+            summary = summarise_run(self.folder, self.manifest, self.rows)
+            write_summary(self.folder, summary)
+            write_text(self.folder.summary_text, summary_markdown(summary))
 
 
 def rescore(path: Path, source: Source | None = None) -> Rescored:

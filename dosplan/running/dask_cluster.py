@@ -12,6 +12,7 @@ import asyncio
 import logging
 import multiprocessing
 import os
+import re
 import signal
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
@@ -52,6 +53,7 @@ _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 _LOCAL: Final = "local:"
+_ADDRESS: Final = re.compile(r"local:\d+|(?:[a-z]+://)?\S+:\d+|inproc://\S+")
 _WINDOW: Final = 2000  # Tasks that the scheduler holds at a time.
 _RETRIES: Final = 2  # For a machine that cannot start processes; another one may.
 _CONNECT_SECONDS: Final = 15.0
@@ -82,6 +84,11 @@ class DaskExecutor:
         if self.address.startswith(_LOCAL) and not (count.isdecimal() and int(count) > 0):
             raise RunError(
                 f"cluster is {self.address!r}; local: takes a number of workers, as local:4"
+            )
+        if not _ADDRESS.fullmatch(self.address):
+            raise RunError(
+                f"cluster is {self.address!r}; it takes the address of a scheduler, as "
+                "tcp://host:8786, or local:4"
             )
 
     @contextmanager

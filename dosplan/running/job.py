@@ -33,6 +33,7 @@ from dosplan.scoring.usable import unusable
 from dosplan.simulation.loop import run_episode
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import one_line
+from dosplan.system.folders import folder_kept
 from dosplan.system.workers import seed_globals
 from dosplan.types import Arm, EpisodeKey, Outcome, Score
 
@@ -121,6 +122,10 @@ class Session:
         Raises:
             KeyboardInterrupt: The user interrupts, or a plug-in raises it, which looks the same.
         """
+        with folder_kept():
+            return self._drive(task)
+
+    def _drive(self, task: Task) -> EpisodeResult:
         config = self._config
         raised: list[BaseException] = []
         # Put back at the end of the episode, unless it failed.
@@ -130,7 +135,9 @@ class Session:
             plugins = plugins or make_plugins(config)
             try:
                 plugins = _with_future(plugins, config, task.future)
-            except (Exception, SystemExit) as error:
+            except KeyboardInterrupt:
+                raise
+            except BaseException as error:
                 self._end_if_quit(error)
                 return failed_result(task.key, error, Outcome.TRAFFIC_FAILURE)
             planner, predictor, traffic = plugins
@@ -144,7 +151,9 @@ class Session:
             # A value that is not a number fails here, not when the runner appends the row.
             row_line(done.row)
             recording = done.recording.pack()
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # Not all that a plug-in raises is an Exception.
             self._end_if_quit(error)
             return failed_result(task.key, error)
         for failure in raised:

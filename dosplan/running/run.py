@@ -48,7 +48,7 @@ from dosplan.running.config import FREE, SELECTION, RunConfig, RunError
 from dosplan.running.executor import Executor, LocalExecutor, Results, Workers
 from dosplan.running.job import EpisodeResult, Task, make_plugins
 from dosplan.running.progress import Observer
-from dosplan.scenario import ScenarioRef, find_scenarios
+from dosplan.scenario import ScenarioError, ScenarioRef, find_scenarios
 from dosplan.scenario.sources.catalogue import find_ids
 from dosplan.scenario.sources.futures import futures_file
 from dosplan.scenario.sources.selection import matching, sampled
@@ -111,6 +111,11 @@ def run(
         else:
             observer.checked((), unusable_scenarios(kept))
         by_key = {row.key: row for row in read_rows(folder.rows)}
+        if lost := [task.key for task in tasks if task.key not in by_key]:
+            raise RunError(
+                f"{folder.rows} has lost {len(lost)} rows while the run went on, as that of "
+                f"{lost[0].title}; the same command drives them again"
+            )
         rows = [by_key[task.key] for task in tasks]
         write_rows(folder.rows, rows)
         summary = summarise_run(folder, manifest, rows)
@@ -160,8 +165,14 @@ def _check_futures(config: RunConfig, refs: Sequence[ScenarioRef]) -> None:
     traffic: type[Traffic] = choose_plugin(
         PluginKind.TRAFFIC, config.traffic, config.traffic_options
     ).plugin
-    few = {ref: count for ref in refs if (count := traffic.futures_of(ref.path)) is not None}
-    few = {ref: count for ref, count in few.items() if count < config.futures}
+    few = {}
+    for ref in refs:
+        try:
+            count = traffic.futures_of(ref.path)
+        except ScenarioError:
+            continue  # It becomes an unusable scenario; the others are driven.
+        if count is not None and count < config.futures:
+            few[ref] = count
     if few:
         ref, count = next(iter(few.items()))
         raise RunError(
@@ -275,7 +286,7 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
     if config.ranked and issubclass(predictor.plugin, OraclePredictor):
         raise RunError(
             f"predictor {predictor.plugin.name} is shown the future, so a ranked run refuses it; "
-            "--unranked allows it and marks the results"
+            "--unranked, ranked: false in a sweep, allows it and marks the results"
         )
     with redirect_stdout(sys.stderr):  # Prints of a plug-in do not belong to stdout.
         _, built_predictor, _ = make_plugins(config)

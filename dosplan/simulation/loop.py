@@ -322,7 +322,9 @@ def _named_failure(role: str, plugin: Planner | Predictor | Traffic) -> Iterator
     """Turns any exception of a plug-in into one line that names the plug-in and the place."""
     try:
         yield
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # Not all that a plug-in raises is an Exception.
         name = getattr(plugin, "name", type(plugin).__name__)
         place = failure_place(error, type(plugin))
         line = f"{role} {name}: {one_line(error)} ({place})"

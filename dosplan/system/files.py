@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from hashlib import sha256
@@ -44,7 +45,8 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
     """Opens a file that takes its name only when the block ends without an exception.
 
     Args:
-        path: The file to write; a file of that name is replaced. Its folder is made.
+        path: The file to write; a file of that name is replaced. Its folder is made. A device or
+            a pipe is written straight.
 
     Yields:
         A binary file to write to.
@@ -52,6 +54,13 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
     Raises:
         FileError: It cannot be written (no room, no permission, ...).
     """
+    if _is_stream(path):
+        try:
+            with path.open("wb") as stream:
+                yield stream
+        except OSError as error:
+            raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+        return
     # With the process id, two runs that write to one folder by mistake do not use one file.
     temporary = path.with_name(f".{path.name}.{os.getpid()}{_HALF}")
     try:
@@ -67,6 +76,17 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise FileError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _is_stream(path: Path) -> bool:
+    """Whether a path stands for a device or a pipe, or, as /dev/stdout, for an open file."""
+    try:
+        mode = path.stat().st_mode
+        folder = path.parent.resolve()
+    except OSError:
+        return False
+    ordinary = stat.S_ISREG(mode) or stat.S_ISDIR(mode)
+    return not ordinary or folder == Path("/dev") or folder.parts[:2] == ("/", "proc")
 
 
 def remove_half_written(folder: Path, name: str = "*") -> None:

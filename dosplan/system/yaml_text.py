@@ -1,7 +1,8 @@
 """Reads YAML of users: plain values, or one line that says why not.
 
 Aliases are refused: a few lines of them can expand to more values than memory holds. So is deep
-nesting, which recursive code cannot handle.
+nesting, which recursive code cannot handle, and a key that is given twice, of which YAML would keep
+the last.
 """
 
 from __future__ import annotations
@@ -65,6 +66,19 @@ def read_yaml(path: Path) -> Any:
 
 class _Loader(yaml.SafeLoader):  # type: ignore[misc]
     depth = 0
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        known = set()
+        for key, _ in node.value:
+            name = getattr(key, "value", None)
+            if not isinstance(name, str):
+                continue
+            if (key.tag, name) in known:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"{name!r} is given twice", key.start_mark
+                )
+            known.add((key.tag, name))
+        return super().construct_mapping(node, deep)
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):

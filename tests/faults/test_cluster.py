@@ -261,7 +261,8 @@ def test_a_source_may_be_a_url(scenes: Path) -> None:
         ("local:0", "local: takes a number of workers"),
         ("local:many", "local: takes a number of workers"),
         ("tcp://127.0.0.1:1", "no Dask scheduler answers at tcp://127.0.0.1:1"),
-        ("nonsense", "no Dask scheduler answers at nonsense"),
+        ("nonsense", "it takes the address of a scheduler"),
+        ("http://host", "it takes the address of a scheduler"),
     ],
 )
 def test_an_address_without_a_cluster_is_one_line(

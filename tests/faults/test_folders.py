@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import errno
+import json
 import os
 import resource
+import shlex
+import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from dosplan.cli.main import BAD_INPUT, main
+from dosplan.cli.main import BAD_INPUT, OK, main
+from dosplan.report.html.write import write_report
 from dosplan.results.folder import RunFolder
+from dosplan.results.rescore import rescore
 from dosplan.running import run as runner
 from dosplan.running.run import RunError
-from dosplan.scenario import find_scenarios
+from dosplan.scenario import ScenarioError, find_scenarios
 from dosplan.system.files import FileError
+from dosplan.system.locks import exclusive
 from tests.support.runs import (
     command,
     configured,
@@ -149,3 +157,112 @@ def test_usage_errors_and_failures_have_their_exit_codes(scenes: Path, tmp_path:
     out = tmp_path / "failed"
     assert main(command(out, faulty, "FaultPlanner", "--in-process", "--with-dos")[3:]) == 1
     assert rows_in(out) == 2
+
+
+def test_what_is_no_file_is_written_straight(scenes: Path, tmp_path: Path) -> None:
+    """A pipe and the standard output stay what they are."""
+    out = tmp_path / "run"
+    assert main(command(out, scenes, "CoastPlanner", "--in-process")[3:]) == OK
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with subprocess.Popen(["cat", str(pipe)], stdout=subprocess.PIPE, text=True) as reader:
+        assert main(["table", str(out), "--json", str(pipe)]) == OK
+        assert reader.stdout is not None
+        assert json.load(reader.stdout)
+    assert pipe.is_fifo()
+    table = [sys.executable, "-m", "dosplan", "table", str(out), "--json", "/dev/stdout"]
+    shown = tmp_path / "shown.txt"
+    with shown.open("wb") as file:
+        subprocess.run(table, stdout=file, check=True)
+    assert os.path.islink("/dev/stdout")  # noqa: PTH114 - Path.is_symlink is the same
+    assert '"blocks"' in shown.read_text() or "{" in shown.read_text()
+
+
+def test_closed_streams_and_closed_pipes_are_no_failure(scenes: Path, tmp_path: Path) -> None:
+    run = command(tmp_path / "run", scenes, "CoastPlanner", "--workers", "1")
+    for closed in (">&-", "2>&-", "<&- >&- 2>&-"):
+        out = tmp_path / str(len(closed))
+        run = command(out, scenes, "CoastPlanner", "--workers", "1")
+        done = subprocess.run(["sh", "-c", f"{shlex.join(run)} {closed}"], check=False)
+        assert done.returncode == OK
+        assert {row["outcome"] for row in untimed(out)} & {"success", "goal_missed"}
+        assert not {row["outcome"] for row in untimed(out)} & {"unusable", "planner_failure"}
+    for show in (["table", str(out)], ["compare", str(out)], ["table", str(out), "--json"]):
+        shown = [sys.executable, "-m", "dosplan", *show]
+        with subprocess.Popen(shown, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            assert process.stdout is not None
+            assert process.stderr is not None
+            process.stdout.close()
+            told = process.stderr.read()
+        assert (process.returncode, told) == (OK, b"")
+
+
+def test_a_plug_in_that_leaves_the_working_folder_takes_no_result_along(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    lines = (
+        "import os",
+        f"os.chdir({str(elsewhere)!r})",
+        "from tests.support.plugins import CoastPlanner",
+        "class Wanderer(CoastPlanner):",
+        "    name = 'wanderer-v1'",
+        "    def compute_plan(self, observation, occupancy):",
+        f"        os.chdir({str(elsewhere)!r})",
+        "        return super().compute_plan(observation, occupancy)",
+    )
+    (tmp_path / "wanderer.py").write_text("\n".join(lines))
+    for number, where in enumerate((["--in-process"], ["--workers", "1"])):
+        asked = command(Path(f"run{number}"), Path(os.path.relpath(scenes)), "Wanderer", *where)[3:]
+        asked[asked.index("--planner") + 1] = "wanderer.py:Wanderer"
+        assert main(asked) == OK
+        assert len(untimed(tmp_path / f"run{number}")) == 2 * len(list(scenes.glob("*.xml")))
+    assert not list(elsewhere.iterdir())
+    assert Path.cwd() == tmp_path
+
+
+def test_a_folder_that_cannot_be_opened_is_told(
+    scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "places"
+    shutil.copytree(scenes, place)
+    shut = place / "shut"
+    shut.mkdir()
+    scan = os.scandir
+
+    def scandir(path: Any) -> Any:  # Tests may run as root, who may open everything.
+        if Path(path) == shut:
+            raise PermissionError(errno.EACCES, "Permission denied", str(shut))
+        return scan(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    with pytest.raises(ScenarioError, match=r"shut: cannot be opened \(Permission denied\)"):
+        find_scenarios(place)
+
+
+def test_an_episode_file_that_was_cut_off_is_driven_again(scenes: Path, tmp_path: Path) -> None:
+    config = configured(tmp_path / "run", scenes)
+    folder = run_here(config)
+    before = untimed(folder)
+    (damaged, *_) = sorted((folder.path / "episodes").glob("*.npz"))
+    whole = damaged.read_bytes()
+    damaged.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(FileError, match=damaged.name):
+        write_report(folder.path)
+    assert untimed(run_here(config)) == before
+    write_report(folder.path)
+
+
+def test_rows_are_not_written_over_those_of_a_run_that_goes_on(
+    scenes: Path, tmp_path: Path
+) -> None:
+    folder = run_here(configured(tmp_path / "run", scenes, limit=1))
+    scored = rescore(folder.path)
+    with exclusive(folder.lock), pytest.raises(FileError, match="another process is driving"):
+        scored.write()
+    run_here(configured(tmp_path / "run", scenes))
+    with pytest.raises(FileError, match="has changed since it was scored"):
+        scored.write()
+    rescore(folder.path).write()

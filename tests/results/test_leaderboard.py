@@ -120,6 +120,18 @@ def test_a_velocity_that_is_no_number_is_refused(tmp_path: Path, word: str) -> N
         read_submissions(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "told"), [("arms", {}, "it has no arm"), ("set_digest", "<b>", "no SHA-256")]
+)
+def test_a_row_that_nobody_could_have_submitted_is_refused(
+    tmp_path: Path, key: str, value: Any, told: str
+) -> None:
+    path = write_submission(tmp_path, row("a", [HIT, HIT]))
+    path.write_text(json.dumps({**json.loads(path.read_text()), key: value}))
+    with pytest.raises(FileError, match=told):
+        read_submissions(tmp_path)
+
+
 def test_success_comes_first_then_safety_then_blame_then_velocity() -> None:
     page = leaderboard_page(
         [

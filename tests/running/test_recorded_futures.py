@@ -11,7 +11,7 @@ import pytest
 from dosplan_reactive.traffic import ReactiveTraffic
 from dosplan_simple.predictors import GroundTruthPredictor
 
-from dosplan.cli.command import BAD_INPUT, OK
+from dosplan.cli.command import BAD_INPUT, FAILED, OK
 from dosplan.cli.main import main
 from dosplan.results.drive import find_drives
 from dosplan.results.folder import RunFolder
@@ -171,16 +171,20 @@ def test_a_run_does_not_go_on_with_other_futures(tmp_path: Path) -> None:
         run_here(configured(tmp_path / "out", tmp_path / "places", futures=2))
 
 
-def test_a_damaged_file_of_futures_is_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("futures", ["1", "2"])
+def test_a_damaged_file_of_futures_costs_its_own_scenario_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], futures: str
 ) -> None:
-    write_place(tmp_path / "places", IDS[0])
+    for name in IDS[:2]:
+        write_place(tmp_path / "places", name)
     file = tmp_path / "places" / "futures" / f"{IDS[0]}.npz"
     file.write_bytes(file.read_bytes()[:300])
     command = ["run", str(tmp_path / "places"), "--out", str(tmp_path / "out"), "--in-process"]
     plugins = ["--planner", f"{PLUGINS}:CoastPlanner", "--predictor", f"{PLUGINS}:StillPredictor"]
-    assert main([*command, *plugins, "--futures", "2"]) == BAD_INPUT
-    assert f"{file}: is no file of futures of this version" in capsys.readouterr().err
+    assert main([*command, *plugins, "--futures", futures]) == FAILED
+    assert "is no file of futures of this version" in capsys.readouterr().out
+    outcomes = [row.outcome for row in read_rows(tmp_path / "out" / "scenarios.jsonl")]
+    assert outcomes.count(Outcome.UNUSABLE) == len(outcomes) // 2 > 0
 
 
 @pytest.mark.parametrize("made_by", [Replay, ReactiveTraffic])

@@ -149,6 +149,8 @@ without:
         ("axes: {seed: [0]}\ngrids: [{axes: {seed: [1]}}]", "grid 1: the axis 'seed' is one of th"),
         ("grids: [{axes: {seed: [1]}}, {axes: {seed: [1]}}]", "2 runs are called seed=1"),
         ("grids: [{without: []}]", "grid 1 has the unknown key 'without'"),
+        ("axes: {seed: [0], seed: [1]}", "mine.yaml is not YAML: 'seed' is given twice"),
+        ("axes: {a: {b: {seed: 1}, b: {seed: 2}}}", "mine.yaml is not YAML: 'b' is given twice"),
         ("axes: {seed: &a [0], limit: *a}", "mine.yaml is not YAML: write aliases (*) out"),
         ("axes: {a: {b: {seed: !!python/name:os.sep ''}}}", "mine.yaml is not YAML"),
     ],

@@ -21,6 +21,7 @@ import pytest
 from dosplan.cli.main import main
 from dosplan.scenario import ScenarioError, find_scenarios, load_scenario
 from dosplan.scenario.sources import archives, download
+from dosplan.scenario.sources.sumo import ACTS
 from dosplan.system.folders import cache_folder
 from tests.support.scenes import Problem, write_scenario_xml
 
@@ -446,3 +447,23 @@ def test_the_command_line_takes_them_all(
         assert "4 scenarios" in capsys.readouterr().out
     assert main(["list", "scenarios", "@absent.txt"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_an_archive_keeps_what_sumo_needs(folder: Path, tmp_path: Path) -> None:
+    beside = folder / "sumo-files"
+    beside.mkdir()
+    names = ("a.sumo.cfg", "a.net.xml.gz", "a.rou.xml", f"a{ACTS}")
+    for name in names:
+        (beside / name).write_bytes(b"x")
+    packed = tmp_path / "all.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for path in sorted(folder.rglob("*")):
+            archive.write(path, path.relative_to(folder))
+    (first, *_) = find_scenarios(str(packed))
+    kept = first.path.parent / "sumo-files"
+    assert sorted(path.name for path in kept.iterdir()) == sorted(names)
+
+
+def test_what_is_no_url_is_told() -> None:
+    with pytest.raises(ScenarioError, match="it is no URL"):
+        find_scenarios("http://[::1/x.zip")

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dosplan_sumo.acts import ENDING, read_acts
+from dosplan_sumo.acts import read_acts
 from suitegen.futures.verdict import in_future
 from suitegen.verdict import recorded_episode
 
 from dosplan.scenario import load_scenario
+from dosplan.scenario.sources.sumo import ACTS
 from dosplan.scoring.score import score
 from dosplan.types import FloatArray, Outcome
 
@@ -115,6 +116,6 @@ def _drives(made: Path, name: str) -> list[FloatArray]:
 
 def test_scripts_of_the_futures_are_kept(made: Path) -> None:
     for row in _rows(made):
-        acts = read_acts(made / "sumo-files" / f"{row['id']}{ENDING}")
+        acts = read_acts(made / "sumo-files" / f"{row['id']}{ACTS}")
         assert [act.intention for act in acts.futures] == row["intentions"].split("; ")
         assert any(act.script for act in acts.futures)

@@ -239,6 +239,10 @@ def _raise() -> None:
     raise ValueError("no way\nto go")
 
 
+def _raise_no_exception() -> None:
+    raise GeneratorExit  # Of BaseException alone.
+
+
 def _interrupt() -> None:
     raise KeyboardInterrupt
 
@@ -302,6 +306,7 @@ FAULTS: dict[str, tuple[Callable[[], Any], str]] = {
     "recurse": (lambda: _recurse(0), "planner fault-v1: RecursionError:"),
     "close-files": (lambda: os.closerange(3, 256), "the worker process ended with exit code"),
     "child": (_leave_a_child, "the worker process ended with exit code 5"),
+    "no-exception": (_raise_no_exception, "planner fault-v1: GeneratorExit"),
 }
 NAMES = list(FAULTS)
 

@@ -6,16 +6,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from dosplan.scenario import ScenarioError
 from dosplan.scenario.commonroad.document import read_file, unpacked
 from dosplan.scenario.commonroad.writer import compress
-from dosplan.scenario.sources.sumo import CONFIGURATIONS
+from dosplan.scenario.sources.sumo import ACTS, CONFIGURATIONS
 from dosplan_sumo.script import Script, read_script, script_json
-
-ENDING: Final = ".futures.json.gz"
-"""How such a file is called, after the name of the scenario."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +70,7 @@ def acts_file(configuration: Path) -> Path | None:
     """
     for ending in CONFIGURATIONS:
         if configuration.name.endswith(ending):
-            path = configuration.with_name(configuration.name.removesuffix(ending) + ENDING)
+            path = configuration.with_name(configuration.name.removesuffix(ending) + ACTS)
             return path if path.is_file() else None
     return None
 

@@ -12,7 +12,6 @@ from dosplan.results.folder import RunFolder
 from dosplan.results.recording import Recording
 from dosplan.results.table import Table
 from dosplan.results.unusable import Unusable
-from dosplan.system.files import FileError
 from dosplan.types import Arm, ScenarioFuture, Score
 
 View = tuple[int, ...]
@@ -44,12 +43,14 @@ class Side:
             driven: The scenario and its future.
 
         Returns:
-            The recording, or None where there is none that can be read.
+            The recording, or None where there is none: it failed before it drove, or the folder
+            holds rows only.
+
+        Raises:
+            FileError: It is damaged; without it the page's figures would be other ones.
         """
-        try:
-            return Recording.load(self.folder.recording(self.rows[driven].key))
-        except FileError:  # It failed before it drove, or the folder holds rows only.
-            return None
+        path = self.folder.recording(self.rows[driven].key)
+        return Recording.load(path) if path.is_file() else None
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,7 @@ KEPT_SECONDS: Final = 30 * 24 * 3600.0
 
 _TAR: Final = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tar.xz", ".txz")
 ENDINGS: Final = (".zip", *_TAR)
-_KINDS: Final = ".3"
+_KINDS: Final = ".4"
 """Changes with the kinds of files that are written."""
 _LISTING: Final = "listing.json"
 _ENCRYPTED: Final = 0x1

@@ -39,7 +39,10 @@ def downloaded(url: str) -> Path:
     Raises:
         ScenarioError: The server does not give the file, or the cache cannot be written.
     """
-    told = unquote(PurePosixPath(urlsplit(url).path).name) or "index"
+    try:
+        told = unquote(PurePosixPath(urlsplit(url).path).name) or "index"
+    except ValueError as error:
+        raise _refused(url, f"it is no URL: {error}") from None
     # What is too long is cut, but for the ending, which says what the file is.
     ending = next((end for end in (*SUFFIXES, *ENDINGS) if told.lower().endswith(end)), "")
     name = file_name(told[: len(told) - len(ending)]) + ending

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import glob
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -186,12 +187,26 @@ def _at(where: Path, label: str, chosen: bool = True) -> list[Candidate]:
 
 
 def _in_folder(folder: Path, label: str) -> list[Candidate]:
+    if "://" not in str(folder):
+        _check_access(folder)
     inside = ((file, file.relative_to(folder)) for file in sorted(folder.rglob("*.xml*")))
     return [
         Candidate(file, "/".join(filter(None, (label, name.as_posix()))))
         for file, name in inside
         if is_scenario(name.name) and not any(part.startswith(".") for part in name.parts)
     ]
+
+
+def _check_access(folder: Path) -> None:
+    """Refuses a folder with another inside that cannot be opened: its files would be left out."""
+
+    def refuse(error: OSError) -> None:
+        raise ScenarioError(
+            Path(error.filename), f"cannot be opened ({error.strerror}); allow it, or move it away"
+        )
+
+    for _ in os.walk(folder, onerror=refuse):
+        pass
 
 
 def _holds(test: Callable[[], bool]) -> bool:

@@ -23,6 +23,8 @@ CONFIGURATIONS: Final = (".sumo.cfg", ".sumocfg")
 _INPUTS: Final = tuple(
     f".{part}.xml{packed}" for part in ("net", "rou", "add") for packed in ("", ".gz")
 )
+ACTS: Final = ".futures.json.gz"
+"""Ending of the file that says what happens in a scenario's futures, after the scenario's name."""
 FOLDER: Final = "sumo-files"
 """Folder beside that of the scenario files in which the files of SUMO may lie."""
 OPTIONS: Final = frozenset(
@@ -84,7 +86,7 @@ def is_of_sumo(name: str) -> bool:
     Returns:
         Whether it is.
     """
-    return name.endswith((*CONFIGURATIONS, *_INPUTS))
+    return name.endswith((*CONFIGURATIONS, *_INPUTS, ACTS))
 
 
 def configuration_of(scenario: Path) -> Path | None:

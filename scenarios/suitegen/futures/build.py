@@ -12,12 +12,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from dosplan_sumo.acts import ENDING
 from dosplan_sumo.script import rounded
 from dosplan_sumo.simulator import SumoError
 
 from dosplan.scenario.commonroad.drafts import Header
 from dosplan.scenario.commonroad.writer import compress
+from dosplan.scenario.sources.sumo import ACTS
 from dosplan.scoring.usable import unusable
 from dosplan.types import FloatArray
 from suitegen.build import LICENCE, SPLITS, TRAIN_MAPS_FROM
@@ -171,7 +171,7 @@ def _attempt(place: Place, seed: int, attempt: int, folder: Path) -> Built:
     files = {
         f"files/{name}.xml.gz": compress((folder / "files" / f"{name}.xml").read_bytes()),
         f"futures/{name}.npz": (folder / "futures" / f"{name}.npz").read_bytes(),
-        f"sumo-files/{name}{ENDING}": acts_json(staging, simulated, acts),
+        f"sumo-files/{name}{ACTS}": acts_json(staging, simulated, acts),
     }
     sumo = sumo_inputs(name, net, simulated.demand.root, simulated.seed, EGO, simulated.start_time)
     row = _row(place, seed, acts, scene, verdict.defeats, files)

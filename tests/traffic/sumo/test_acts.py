@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from dosplan.scenario import ScenarioError, load_scenario
-from dosplan.scenario.sources.sumo import configuration_of, read_configuration
+from dosplan.scenario.sources.sumo import ACTS, configuration_of, read_configuration
 from dosplan.types import USER_VELOCITY, FloatArray, Scenario, Tracks
 from tests.support.suite import FUTURES_SUITE, SUITE, drive_of
 from tests.support.sumo import ZEBRA, driven_around
 
 pytest.importorskip("libsumo", reason="needs dosplan[sumo]")
 
-from dosplan_sumo.acts import ENDING, Act, Acts, acts_file, read_acts
+from dosplan_sumo.acts import Act, Acts, acts_file, read_acts
 from dosplan_sumo.demand import read_demand, write_demand
 from dosplan_sumo.script import Action, Verb
 from dosplan_sumo.traffic import SumoTraffic
@@ -66,7 +66,7 @@ def braking(place: Path) -> tuple[Scenario, int, dict[int, FloatArray]]:
     start = float(_start(place))
     script = (Action(0.0, actor, Verb.BRAKE, 0.0, over=1.0),)
     acts = Acts(0.0, (), start + 1.0, (Act("goes on", ()), Act("brakes", script)))
-    path = place.parents[1] / "sumo-files" / f"{ZEBRA}{ENDING}"
+    path = place.parents[1] / "sumo-files" / f"{ZEBRA}{ACTS}"
     path.write_bytes(acts.json())
     assert read_acts(path) == acts
     return scenario, whole[actor], plain
@@ -168,7 +168,7 @@ def test_the_file_is_one_of_those_that_a_run_depends_on(
     ],
 )
 def test_a_broken_file_is_one_line(place: Path, content: str) -> None:
-    path = place.parents[1] / "sumo-files" / f"{ZEBRA}{ENDING}"
+    path = place.parents[1] / "sumo-files" / f"{ZEBRA}{ACTS}"
     path.write_bytes(gzip.compress(content.encode()))
     with pytest.raises(ScenarioError, match="tells no futures"):
         read_acts(path)

@@ -286,7 +286,7 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
     if config.ranked and issubclass(predictor.plugin, OraclePredictor):
         raise RunError(
             f"predictor {predictor.plugin.name} is shown the future, so a ranked run refuses it; "
-            "--unranked, ranked: false in a sweep, allows it and marks the results"
+            "--unranked allows it and marks the results (in a sweep, ranked: false)"
         )
     with redirect_stdout(sys.stderr):  # Prints of a plug-in do not belong to stdout.
         _, built_predictor, _ = make_plugins(config)

@@ -356,6 +356,11 @@ _START = '<planningProblem id="1000"><initialState>'
          "planning problem 1000: goal 1: it asks for a single <point>"),
         ("<intervalStart>0</intervalStart>", "<intervalStart>60</intervalStart>",
          "planning problem 1000: goal 1: the <time> goes from 60 to 50; swap the two"),
+        ("<goalState>", "<goalState><orientation><intervalStart>3</intervalStart>"
+         "<intervalEnd>-3</intervalEnd></orientation>",
+         "planning problem 1000: goal 1: the <orientation> goes from 3 to -3; add 2 pi to the end"),
+        ("<rectangle>.*?</rectangle>", '<lanelet ref="100"/>',
+         "obstacle 7: the <shape> holds <lanelet> and no shape"),
         (f"{_START}<position>.*?</position>", _START,
          "planning problem 1000: its initial state: it has no <position>; add it"),
         ("<leftBound>.*?</leftBound>", "<leftBound/>",
@@ -382,6 +387,11 @@ def test_one_line_names_the_part_and_the_remedy(
     changed, count = re.subn(before, after, text, count=1, flags=re.DOTALL)
     assert count == 1
     assert refusal(tmp_path, changed).startswith(line)
+
+
+def test_lanelets_without_an_area_are_no_road(tmp_path: Path) -> None:
+    text = re.sub(r"<y>-?[0-9.]+</y>", "<y>0</y>", scenario_xml(scenes.straight_road(), []))
+    assert refusal(tmp_path, text).startswith("has lanelets of no area, so no road; correct")
 
 
 def test_a_protocol_buffer_is_called_by_its_name(tmp_path: Path) -> None:

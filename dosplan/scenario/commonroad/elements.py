@@ -201,7 +201,8 @@ def interval(element: Element) -> tuple[float, float]:
         raise FaultError(f"{what} holds neither an <exact> value nor an interval; add one")
     bounds = number(low.text, what), number(high.text, what)
     if bounds[0] > bounds[1]:
-        raise FaultError(f"{what} goes from {bounds[0]:g} to {bounds[1]:g}; swap the two")
+        remedy = "add 2 pi to the end" if element.tag == "orientation" else "swap the two"
+        raise FaultError(f"{what} goes from {bounds[0]:g} to {bounds[1]:g}; {remedy}")
     return bounds
 
 

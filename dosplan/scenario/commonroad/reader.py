@@ -236,6 +236,8 @@ def _check_start(
             f"starts the ego at {velocity:g} m/s; "
             f"give it an initial velocity from 0 to {vehicle.max_velocity:g} m/s"
         )
+    if road_map.drivable.is_empty:
+        raise FaultError("has lanelets of no area, so no road; correct their bounds")
     distance = float(shapely.distance(road_map.drivable, shapely.Point(centre)))
     if not distance <= MAX_START_DISTANCE:
         raise FaultError(

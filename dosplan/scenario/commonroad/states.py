@@ -70,7 +70,9 @@ def read_shape(element: Element) -> list[Part]:
     """
     parts = [_part(found) for found in element if found.tag in SHAPES]
     if not parts:
-        raise FaultError(f"the <{element.tag}> is empty; give it a rectangle, circle or polygon")
+        held = ", ".join(sorted({f"<{part.tag}>" for part in element}))
+        what = f"holds {held} and no shape" if held else "is empty"
+        raise FaultError(f"the <{element.tag}> {what}; give it a rectangle, circle or polygon")
     return parts
 
 

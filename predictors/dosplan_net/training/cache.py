@@ -267,10 +267,14 @@ def build_cache(
         (out / "shards").mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CacheError(f"{out}: cannot be written ({error.strerror}); name another") from None
-    jobs = []
+    jobs, closed = [], []
     for ref in refs:
         drives = None if driven is None else driven[ref.path]
-        name = _digest(ref.path, every, futures, loop, seed, drives)
+        try:
+            name = _digest(ref.path, every, futures, loop, seed, drives)
+        except OSError as error:
+            closed.append(f"{ref.path}: cannot be read ({error.strerror}); leave it out")
+            continue
         shard = out / "shards" / f"{name}.npz"
         jobs.append(_Job(ref, shard, every, futures, loop, seed, drives))
     answers: list[str | None] = []
@@ -278,15 +282,15 @@ def build_cache(
         for answer in pool.map(_extract_to, jobs, chunksize=4):
             answers.append(answer)
             progress(len(answers), len(jobs))
-    done = list(zip(refs, (job.shard for job in jobs), answers, strict=True))
-    kept = [(ref, shard) for ref, shard, answer in done if answer is None]
+    done = list(zip(jobs, answers, strict=True))
+    kept = [(job.ref, job.shard) for job, answer in done if answer is None]
     left_out = {
-        "unreadable": [answer for _, _, answer in done if answer],
-        "empty": [ref.path.name for ref, _, answer in done if answer == EMPTY],
+        "unreadable": closed + [answer for _, answer in done if answer],
+        "empty": [job.ref.path.name for job, answer in done if answer == EMPTY],
     }
     if not kept:
         why = f"; the first: {left_out['unreadable'][0]}" if left_out["unreadable"] else ""
-        raise CacheError(f"no windows in {len(jobs)} recordings{why}")
+        raise CacheError(f"no windows in {len(refs)} recordings{why}")
     made: dict[str, Any] = {"every": every, "loop": loop_name(loop)}
     if met is not None:
         made["met"] = met.resolve().name

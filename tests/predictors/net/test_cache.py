@@ -188,6 +188,16 @@ def test_broken_files_and_those_without_a_future_are_named(tmp_path: Path) -> No
         build_cache([source], tmp_path / "other")
 
 
+def test_a_file_that_cannot_be_opened_is_left_out(recordings: Path, tmp_path: Path) -> None:
+    source = tmp_path / "recordings"
+    shutil.copytree(recordings, source)
+    (source / "gone.xml").symlink_to(tmp_path / "nowhere.xml")
+    report = build_cache([source], tmp_path / "cache")
+    (line,) = report.unreadable
+    assert line.startswith(f"{source / 'gone.xml'}: cannot be read (")
+    assert report.windows == build_cache([recordings], tmp_path / "other").windows
+
+
 def test_a_cache_that_cannot_be_written(recordings: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(CacheError, match="cannot be written"):

@@ -179,7 +179,7 @@ class ReferencePath:
 
     def _return(self, least: float) -> float:
         """The same with a least cosine of the directions; infinite if it never does."""
-        spacing = float(np.diff(self.arclength).min())
+        spacing = float(np.median(np.diff(self.arclength)))
         every = slice(None, None, max(round(_NEAR_AGAIN / spacing), 1))
         points, along, heading = (x[every] for x in (self.points, self.arclength, self.heading))
         way = np.abs(along[:, None] - along)

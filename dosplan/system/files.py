@@ -54,16 +54,13 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
     Raises:
         FileError: It cannot be written (no room, no permission, ...).
     """
-    if _is_stream(path):
-        try:
-            with path.open("wb") as stream:
-                yield stream
-        except OSError as error:
-            raise FileError(f"cannot write {path}: {error.strerror or error}") from error
-        return
     # With the process id, two runs that write to one folder by mistake do not use one file.
     temporary = path.with_name(f".{path.name}.{os.getpid()}{_HALF}")
     try:
+        if _is_stream(path):
+            with path.open("wb") as stream:
+                yield stream
+            return
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             temporary.unlink(missing_ok=True)  # Never write through a link that stands there.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -56,7 +57,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def _json_path(text: str) -> Path:
     """A file to be written; a folder, or a file of another kind, was meant for another argument."""
-    path = Path(text)
+    path = STDOUT if text == "/dev/stdout" else Path(text)
     if path.is_dir():
         raise argparse.ArgumentTypeError(f"{text} is a folder; name a file, or write --json=-")
     if path.is_file() and not _may_be_json(path):
@@ -196,6 +197,20 @@ def add_moved_source(parser: argparse.ArgumentParser) -> None:
         metavar="SOURCE",
         help="where the scenarios lie now (default: where the run found them)",
     )
+
+
+@contextmanager
+def plugins_print_aside(json_path: Path | None) -> Iterator[None]:
+    """Sends what plug-ins print in this process to stderr, where stdout is for ``show`` alone.
+
+    Args:
+        json_path: Of ``--json``.
+
+    Yields:
+        Nothing.
+    """
+    with redirect_stdout(sys.stderr) if json_path == STDOUT else nullcontext():
+        yield
 
 
 def show(parts: Sequence[RenderableType], figures: Any, json_path: Path | None) -> None:

@@ -6,6 +6,7 @@ Nothing heavy is imported before a command runs, so that ``dosplan --help`` is i
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import signal
 import sys
@@ -70,6 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     _open_closed_streams()
+    _escape_what_cannot_be_shown()
     given = sys.argv[1:] if arguments is None else list(arguments)
     options = make_parser().parse_args(given)
     try:
@@ -97,6 +99,12 @@ def _open_closed_streams() -> None:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
         if getattr(sys, name) is None:
             setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
+
+
+def _escape_what_cannot_be_shown() -> None:
+    """Writes stdout as stderr is written: a terminal that knows no m² is no reason to stop."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from dosplan.cli.arguments import (
     chosen_settings,
     console,
     is_source,
+    plugins_print_aside,
     setting_of,
     show,
 )
@@ -115,9 +116,12 @@ class RunCommand:
         )
         try:
             # A table that is drawn anew would hide the prompt of a debugger.
-            with show_run(
-                console(stderr=True), live=not options.in_process, quiet=options.quiet
-            ) as observer:
+            with (
+                plugins_print_aside(options.json),
+                show_run(
+                    console(stderr=True), live=not options.in_process, quiet=options.quiet
+                ) as observer,
+            ):
                 folder = run(config, observer, SerialExecutor() if options.in_process else None)
         except KeyboardInterrupt:
             hint = f"the same command with --out {shlex.quote(str(config.out))} resumes"

@@ -54,6 +54,8 @@ _LEAST_WAY: Final = 5.0
 """Ways that are shorter say nothing of that, m: people sway where they stand."""
 _DYNAMIC: Final = ("dynamicObstacle", "obstacle")
 _SIGNALS: Final = ("initialSignalState", "signalSeries")
+_LONGEST_SCENE: Final = 200
+"""Characters; files are named by it, and file systems allow 255 bytes."""
 _SUFFIX: Final = re.compile(r"_[A-Z]-\d+(-\d+)*$")
 """End of a CommonRoad id, which says how the road users behave."""
 
@@ -134,12 +136,12 @@ def convert_commonroad(
 
     Returns:
         What was made: ``files`` and ``unreadable`` (number of files, and a line for each that
-        cannot be used), ``tracks`` by CommonRoad obstacle type, ``seconds``, ``recordings`` and
-        ``scenarios`` (numbers of files written), and ``refused``, the number of moments by why
-        they make no scenario.
+            cannot be used, or is of the same scene as one before), ``tracks`` by CommonRoad
+            obstacle type, ``seconds``, ``recordings`` and ``scenarios`` (numbers of files
+            written), and ``refused``, the number of moments by why they make no scenario.
 
     Raises:
-        ScenarioError: Nothing is found, or no file can be used, or two are of one scene.
+        ScenarioError: Nothing is found, or no file can be used.
         FileError: A file cannot be written.
     """
     paths = list(dict.fromkeys(ref.path for ref in find_scenarios(source)))
@@ -151,10 +153,10 @@ def convert_commonroad(
     for done, path in enumerate(paths, start=1):
         try:
             recording = _read(path, step_seconds)
+            _claim(scenes, recording.scene, path)
         except ScenarioError as error:
             unreadable.append(error)
         else:
-            _claim(scenes, recording.scene, path)
             scenarios += _convert(recording, out, refused)
             tracks += recording.counts
             seconds += recording.dt * (recording.last - recording.first)
@@ -247,6 +249,8 @@ def _recording(root: Element, *, corrected: bool) -> _Recording:
             f"{dt:g} s; look up the data set's step and give it with --step SECONDS"
         )
     scene = re.sub(r"[^A-Za-z0-9_.-]", "-", _SUFFIX.sub("", root.get("benchmarkID", "")))
+    if len(scene) > _LONGEST_SCENE:
+        raise FaultError(f"has a benchmarkID of {len(scene)} characters; shorten it")
     return _Recording(root, dt, scene, min(ends), max(ends), cars, counts, states)
 
 

@@ -272,6 +272,8 @@ def _read_lights(folder: Path) -> Lights:
                 text = row[header.index(time_name)]
                 # A first row without a time is what was shown before the record began.
                 time = float(text) / 1000.0 if text or known else -np.inf
+                if text and not np.isfinite(time):
+                    raise ValueError(text)
                 shown = tuple(COLOURS[row[i].strip()] for i in at)
             except (ValueError, IndexError, KeyError):
                 states = ", ".join(f"{number} ({name})" for number, name in COLOURS.items())

@@ -29,7 +29,13 @@ from dosplan.running.job import EpisodeResult, Session, Task, failed_result, unr
 from dosplan.scenario import ScenarioRef
 from dosplan.scoring.score import failed_score
 from dosplan.system.errors import one_line
-from dosplan.system.workers import cause_of_death, end_worker, prepare_worker, started_by
+from dosplan.system.workers import (
+    cause_of_death,
+    end_worker,
+    interrupts_blocked,
+    prepare_worker,
+    started_by,
+)
 
 _T = TypeVar("_T")
 
@@ -158,7 +164,8 @@ class EpisodeProcess:
         self, pool: ProcessPool, call: Callable[..., Any], arguments: tuple[Any, ...]
     ) -> Future[Any]:
         try:
-            return pool.schedule(call, arguments)
+            with interrupts_blocked():  # The first call starts the process.
+                return pool.schedule(call, arguments)
         except RuntimeError as error:  # Its process was killed while it waited for work.
             raise _NotTakenUpError from error
 

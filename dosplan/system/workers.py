@@ -14,6 +14,7 @@ import signal
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from threading import Thread
 from typing import Final
 
@@ -47,10 +48,33 @@ def worker_pool(workers: int) -> Iterator[ProcessPool]:
     pool = ProcessPool(workers, initializer=prepare_worker, context=context)
     with environment(WORKER_ENVIRONMENT):
         try:
+            with interrupts_blocked():
+                _ = pool.active  # Starts its processes.
             yield pool
         finally:
             pool.stop()  # type: ignore[no-untyped-call]
             pool.join()
+
+
+@contextmanager
+def interrupts_blocked() -> Iterator[None]:
+    """Starts child processes that Ctrl-C does not reach, from their first instruction on.
+
+    The terminal sends it to them, too; their parent ends them. Threads that start in the block, and
+    what they start later, are like it. For the caller it waits until the end of the block.
+
+    Yields:
+        Nothing.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows.
+        yield
+        return
+    resource_tracker.ensure_running()  # Where it starts, it unblocks them.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def seed_globals(seed: int) -> None:

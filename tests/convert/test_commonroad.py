@@ -217,8 +217,17 @@ def test_files_that_cannot_be_used_are_named_and_the_others_converted(
 def test_two_files_of_one_scene_do_not_replace_each_other(tmp_path: Path) -> None:
     for name in "ab":
         write_recording(tmp_path / "files" / f"{name}.xml", MOTIONS)
-    with pytest.raises(ScenarioError, match=rf"b\.xml: is of the scene {SCENE}, as .*a\.xml is"):
-        convert_commonroad(tmp_path / "files", tmp_path / "out")
+    write_recording(tmp_path / "files" / "c.xml", MOTIONS, benchmark_id="DEU_Other-1_1_T-1")
+    made = convert_commonroad(tmp_path / "files", tmp_path / "out")
+    (line,) = made["unreadable"]
+    assert re.search(rf"b\.xml: is of the scene {SCENE}, as .*a\.xml is", line)
+    assert made["recordings"] == 2
+
+
+def test_an_id_that_no_file_can_be_named_by_is_told(tmp_path: Path) -> None:
+    source = write_recording(tmp_path / "a.xml", MOTIONS, benchmark_id=f"DEU_{'A' * 300}-1_1_T-1")
+    with pytest.raises(ScenarioError, match=r"a\.xml: has a benchmarkID of 308 characters"):
+        convert_commonroad(source, tmp_path / "out")
 
 
 def test_a_second_conversion_leaves_no_old_episodes(tmp_path: Path) -> None:

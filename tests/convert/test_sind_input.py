@@ -66,6 +66,7 @@ BAD: dict[str, tuple[str, Callable[[str], str], str]] = {
     "a long field": (VEHICLES, _cell(3, 0, "1" * 200_000), "is no table"),
     "colour": (LIGHTS, _cell(3, 2, "2"), "line 3 does not hold a time and a state, 0 .red., 1"),
     "no time of a light": (LIGHTS, _cell(3, 1, ""), "line 3 does not hold a time"),
+    "a light at no time": (LIGHTS, _cell(3, 1, "nan"), "line 3 does not hold a time"),
     "two colours at once": (LIGHTS, _cell(4, 1, "2002.002"), "line 4 contradicts an earlier one"),
     "no light times": (LIGHTS, lambda t: t.replace("(ms)", ""), r"has no column timestamp\(ms\)"),
 }  # fmt: skip

@@ -196,6 +196,41 @@ def test_closed_streams_and_closed_pipes_are_no_failure(scenes: Path, tmp_path: 
         assert (process.returncode, told) == (OK, b"")
 
 
+def test_a_terminal_of_few_characters_gets_the_others_escaped(scenes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    assert main(command(out, scenes, "CoastPlanner", "--in-process")[3:]) == OK
+    shown = subprocess.run(
+        [sys.executable, "-m", "dosplan", "compare", str(out)],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert r"Acceleration m/s\xb2" in shown.stdout
+
+
+def test_what_a_plug_in_prints_is_no_part_of_the_json(
+    scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = (
+        "from tests.support.plugins import CoastPlanner",
+        "print('imported')",
+        "class Chatty(CoastPlanner):",
+        "    name = 'chatty-v1'",
+        "    def compute_plan(self, observation, occupancy):",
+        "        print('plans')",
+        "        return super().compute_plan(observation, occupancy)",
+    )
+    (tmp_path / "chatty.py").write_text("\n".join(lines))
+    planner = f"{tmp_path / 'chatty.py'}:Chatty"
+    run = command(tmp_path / "run", scenes, "CoastPlanner", "--in-process", "--json=/dev/stdout")
+    given = [planner if "CoastPlanner" in word else word for word in run[3:]]
+    assert main(given) == OK
+    told = capsys.readouterr()
+    assert json.loads(told.out) == json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert {"imported", "plans"} <= set(told.err.split())
+
+
 def test_a_plug_in_that_leaves_the_working_folder_takes_no_result_along(
     scenes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -73,6 +73,24 @@ def test_a_stop_takes_no_longer_than_a_few_starts_and_leaves_no_process(
     until(run.has_left_nobody, "the workers to end")
 
 
+def test_a_stop_while_the_workers_start_is_one_line(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    scenes = write_faults(tmp_path / "scenes", ("fine",))
+    process = start(
+        command(out, scenes, "FaultPlanner", "--workers", "1", "--with-dos"), start_new_session=True
+    )
+    of_it = psutil.Process(process.pid)
+
+    def a_worker_imports() -> bool:
+        return any(child.cpu_times().user > 0.2 for child in of_it.children())
+
+    until(a_worker_imports, "the workers to start")
+    os.killpg(process.pid, signal.SIGINT)
+    _, complaint = process.communicate(timeout=120.0)
+    assert process.returncode == 130
+    assert "Traceback" not in complaint
+
+
 @pytest.mark.parametrize("fault", ["hang-locked", "stop"])
 def test_no_worker_outlives_a_runner_that_is_killed(tmp_path: Path, fault: str) -> None:
     run = _hanging(tmp_path, fault)

@@ -212,7 +212,7 @@ def _read(path: Path, step_seconds: float | None) -> _Recording:
         raise ScenarioError(path, str(error)) from None
     # What cannot be driven in shall be told of the file, not of each of its moments.
     text = _text(whole_file)
-    content = compress(text) if path.suffix == ".gz" else text
+    content = compress(text) if path.suffix.lower() == ".gz" else text
     if parse_scenario(ScenarioRef(path, ""), content, ego_optional=True).interactive:
         raise ScenarioError(path, INTERACTIVE)
     return recording

@@ -10,7 +10,9 @@ from typing import Final
 from dosplan.scenario.commonroad.document import SUFFIXES
 from dosplan.types import Outcome, Score
 
-_AFTER_FILE: Final = re.compile("|".join(rf"(?<={re.escape(end)}): " for end in SUFFIXES))
+_AFTER_FILE: Final = re.compile(
+    "|".join(rf"(?<={re.escape(end)}): " for end in SUFFIXES), re.IGNORECASE
+)
 """Between file and reason in a ``ScenarioError``: a folder's name may hold a colon, too."""
 LISTED: Final = 10
 """How many are listed where there is no room for all."""

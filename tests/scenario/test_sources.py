@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bz2
+import gzip
 import io
 import os
 import stat
@@ -467,3 +468,14 @@ def test_an_archive_keeps_what_sumo_needs(folder: Path, tmp_path: Path) -> None:
 def test_what_is_no_url_is_told() -> None:
     with pytest.raises(ScenarioError, match="it is no URL"):
         find_scenarios("http://[::1/x.zip")
+
+
+def test_endings_in_upper_case_are_endings(folder: Path, tmp_path: Path) -> None:
+    place = tmp_path / "upper"
+    place.mkdir()
+    content = (folder / "a.xml").read_bytes()
+    (place / "A.XML").write_bytes(content)
+    (place / "B.XML.GZ").write_bytes(gzip.compress(content))
+    found = find_scenarios(place)
+    assert [ref.path.name for ref in found] == ["A.XML", "B.XML.GZ"]
+    assert [load_scenario(ref).benchmark_id for ref in found] == [A, A]

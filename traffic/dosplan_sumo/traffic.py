@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 
 from dosplan.scenario import ScenarioError
-from dosplan.scenario.sources.sumo import SumoFiles, configuration_of, read_configuration
+from dosplan.scenario.sources.sumo import ACTS, SumoFiles, configuration_of, read_configuration
 from dosplan.simulation.traffic import Replay, RoadUsers, Traffic
 from dosplan.types import (
     EGO_VELOCITY,
@@ -159,7 +159,7 @@ class SumoTraffic(Traffic):
             files = read_configuration(scenario.sumo)
             read_offset(files.net)
             read_demand(files)
-            _acts_of(scenario.sumo)
+            _acts_of(scenario, scenario.sumo)
         except ScenarioError as error:
             return f"cannot be driven by SUMO: {error}"
         return None
@@ -214,7 +214,7 @@ class SumoTraffic(Traffic):
         net_offset = read_offset(files.net)
         self._folder = TemporaryDirectory(prefix="dosplan-sumo-")
         self._demand = write_demand(read_demand(files), Path(self._folder.name))
-        self._acts = _acts_of(scenario.sumo)
+        self._acts = _acts_of(scenario, scenario.sumo)
         self._drivers = Drivers(self.seed, scenario.benchmark_id, self.future)
         self._known: dict[str, _Known] = {}
         self._others: list[tuple[_Known, FloatArray]] = []
@@ -602,10 +602,21 @@ class SumoTraffic(Traffic):
         )
 
 
-def _acts_of(configuration: Path) -> Acts | None:
-    """What the cast of a scenario does; None where it has no file that tells it."""
+def _acts_of(scenario: Scenario, configuration: Path) -> Acts | None:
+    """What the cast of a scenario does; None where it has no file that tells it, and needs none.
+
+    Without the file, SUMO would drive other futures than those that are recorded.
+    """
     path = acts_file(configuration)
-    return None if path is None else read_acts(path)
+    if path is not None:
+        return read_acts(path)
+    if scenario.futures:
+        raise ScenarioError(
+            configuration,
+            f"has no file *{ACTS} beside it, which says what happens in the recorded futures; put "
+            "it there, or choose another traffic",
+        )
+    return None
 
 
 def _at(sumo: Any, name: str, front: FloatArray) -> bool:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import io
+import re
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -22,7 +23,9 @@ from dosplan.system.errors import DosplanError
 
 VERSIONS: Final = ("2018b", "2020a")
 SUFFIXES: Final = (".xml", ".xml.gz")
+"""Endings of scenario files, in lower or upper case."""
 MAX_BYTES: Final = 512 * 1024 * 1024
+_ENDING: Final = re.compile(r"(\.xml)?(\.gz)?$", re.IGNORECASE)
 _CHUNK: Final = 1 << 16
 _KEPT: Final = 1 << 16
 """Files of which is kept what ``scan`` found, some 30 MB at most."""
@@ -88,7 +91,7 @@ def unpacked(path: Path, data: bytes) -> bytes:
     Raises:
         ScenarioError: It cannot be decompressed, or is larger than ``MAX_BYTES`` then.
     """
-    if path.suffix != ".gz":
+    if path.suffix.lower() != ".gz":
         return data
     try:
         with gzip.open(io.BytesIO(data)) as stream:
@@ -213,6 +216,30 @@ def _problem_id(text: str | None) -> int:
         ) from None
 
 
+def has_ending(name: str) -> bool:
+    """Whether a file has the ending of a scenario file.
+
+    Args:
+        name: Its name.
+
+    Returns:
+        Whether it has one of ``SUFFIXES``.
+    """
+    return name.lower().endswith(SUFFIXES)
+
+
+def stem(path: Path) -> str:
+    """The name of a scenario file without its ending.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The name without ``.xml`` or ``.xml.gz``.
+    """
+    return _ENDING.sub("", path.name)
+
+
 def read_document(path: Path, content: bytes) -> Document:
     """Parses and checks a scenario file.
 
@@ -226,7 +253,7 @@ def read_document(path: Path, content: bytes) -> Document:
     Raises:
         ScenarioError: The file is not a CommonRoad scenario that can be used.
     """
-    if path.suffix == ".pb":
+    if path.suffix.lower() == ".pb":
         raise ScenarioError(path, _PROTOBUF)
     root = parse_xml(path, unpacked(path, content))
     problem = _objection(root)

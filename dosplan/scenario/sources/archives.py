@@ -30,7 +30,7 @@ from hashlib import file_digest
 from pathlib import Path
 from typing import IO, Final
 
-from dosplan.scenario.commonroad.document import MAX_BYTES, SUFFIXES, ScenarioError
+from dosplan.scenario.commonroad.document import MAX_BYTES, ScenarioError, has_ending
 from dosplan.scenario.sources.futures import is_of_futures
 from dosplan.scenario.sources.sumo import is_of_sumo
 from dosplan.system.folders import cache_folder
@@ -84,7 +84,7 @@ def is_scenario(name: str) -> bool:
     Returns:
         Whether it has the ending of one, is not hidden, and not SUMO's.
     """
-    return name.endswith(SUFFIXES) and not name.startswith(".") and not is_of_sumo(name)
+    return has_ending(name) and not name.startswith(".") and not is_of_sumo(name)
 
 
 def unpacked(archive: Path) -> Path:

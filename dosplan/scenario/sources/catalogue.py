@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from dosplan.scenario.commonroad.document import SUFFIXES, ScenarioError, scan
+from dosplan.scenario.commonroad.document import SUFFIXES, ScenarioError, scan, stem
 from dosplan.scenario.sources.fetch import (
     LIST,
     SUITE,
@@ -161,11 +161,6 @@ def suite_kinds() -> dict[str, str]:
     """
     rows = (row for name in SUITES for row in _suite_rows(name))
     return {row["id"]: row.get("kind") or row["road_kind"] for row in rows}
-
-
-def stem(path: Path) -> str:
-    """Name of a scenario file without ``.xml`` or ``.xml.gz``."""
-    return path.name.removesuffix(".gz").removesuffix(".xml")
 
 
 def _episodes(found: list[Candidate]) -> list[ScenarioRef]:

@@ -189,7 +189,7 @@ def _at(where: Path, label: str, chosen: bool = True) -> list[Candidate]:
 def _in_folder(folder: Path, label: str) -> list[Candidate]:
     if "://" not in str(folder):
         _check_access(folder)
-    inside = ((file, file.relative_to(folder)) for file in sorted(folder.rglob("*.xml*")))
+    inside = ((file, file.relative_to(folder)) for file in sorted(folder.rglob("*")))
     return [
         Candidate(file, "/".join(filter(None, (label, name.as_posix()))))
         for file, name in inside

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path, PurePosixPath
 from typing import Final
 
+from dosplan.scenario.commonroad.document import stem
+
 FOLDER: Final = "futures"
 """Folder in which such files lie: beside a scenario file, or beside its folder."""
-
-
 _ENDING: Final = ".npz"
 
 
@@ -36,6 +36,7 @@ def futures_file(scenario: Path) -> Path | None:
     """
     if not isinstance(scenario, Path) or "://" in str(scenario):
         return None
-    name = scenario.name.removesuffix(".gz").removesuffix(".xml")
     folders = (scenario.parent / FOLDER, scenario.parent.parent / FOLDER)
-    return next((file for f in folders if (file := f / f"{name}{_ENDING}").is_file()), None)
+    return next(
+        (file for f in folders if (file := f / f"{stem(scenario)}{_ENDING}").is_file()), None
+    )

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from dosplan.scenario.commonroad.document import ScenarioError, parse_xml, read_file, unpacked
+from dosplan.scenario.commonroad.document import ScenarioError, parse_xml, read_file, stem, unpacked
 
 CONFIGURATIONS: Final = (".sumo.cfg", ".sumocfg")
 _INPUTS: Final = tuple(
@@ -86,7 +86,7 @@ def is_of_sumo(name: str) -> bool:
     Returns:
         Whether it is.
     """
-    return name.endswith((*CONFIGURATIONS, *_INPUTS, ACTS))
+    return name.lower().endswith((*CONFIGURATIONS, *_INPUTS, ACTS))
 
 
 def configuration_of(scenario: Path) -> Path | None:
@@ -100,7 +100,7 @@ def configuration_of(scenario: Path) -> Path | None:
     """
     if not isinstance(scenario, Path) or "://" in str(scenario):
         return None
-    name = scenario.name.removesuffix(".gz").removesuffix(".xml").removesuffix(".cr")
+    name = stem(scenario).removesuffix(".cr")
     folders = (scenario.parent, scenario.parent.parent / FOLDER)
     places = (folder / f"{name}{ending}" for folder in folders for ending in CONFIGURATIONS)
     return next((place for place in places if place.is_file()), None)

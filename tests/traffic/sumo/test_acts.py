@@ -175,3 +175,20 @@ def test_a_broken_file_is_one_line(place: Path, content: str) -> None:
     reason = SumoTraffic.refuses(load_scenario(place))
     assert reason is not None
     assert "\n" not in reason
+
+
+def test_recorded_futures_without_what_happens_in_them_are_refused(tmp_path: Path) -> None:
+    path = next(iter(sorted((FUTURES_SUITE / "files").iterdir())))
+    name = path.name.removesuffix(".xml.gz")
+    (tmp_path / "files").mkdir()
+    file = Path(shutil.copy(path, tmp_path / "files"))
+    for wanted in (f"futures/{name}.npz", f"sumo-files/ZAM_{name.split('_')[1]}*"):
+        for of_it in FUTURES_SUITE.glob(wanted):
+            place = tmp_path / of_it.relative_to(FUTURES_SUITE)
+            place.parent.mkdir(exist_ok=True)
+            shutil.copy(of_it, place)
+    assert SumoTraffic.refuses(load_scenario(file)) is None
+    (tmp_path / "sumo-files" / f"{name}{ACTS}").unlink()
+    reason = SumoTraffic.refuses(load_scenario(file))
+    assert reason is not None
+    assert "which says what happens in the recorded futures" in reason

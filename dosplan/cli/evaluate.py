@@ -100,6 +100,12 @@ class EvaluateCommand:
         add_workers(parser)
         add_seed(parser)
         parser.add_argument(
+            "--timeout",
+            type=float,
+            metavar="S",
+            help="seconds after which a file counts as hung (default: 3600)",
+        )
+        parser.add_argument(
             "--markdown", type=Path, metavar="PATH", help="write the tables there as Markdown"
         )
 
@@ -145,7 +151,7 @@ class EvaluateCommand:
 def _over_recordings(
     options: argparse.Namespace, methods: tuple[Method, ...], progress: Progress
 ) -> dict[str, Any]:
-    from dosplan.evaluation.evaluate import EvaluationConfig, evaluate
+    from dosplan.evaluation.evaluate import FILE_SECONDS, EvaluationConfig, evaluate
 
     _refuse(options, ("traffic", "level"), "goes with --futures only")
     config = EvaluationConfig(
@@ -157,6 +163,7 @@ def _over_recordings(
         scale_on=options.scale_on,
         workers=options.workers,
         seed=options.seed,
+        file_timeout=FILE_SECONDS if options.timeout is None else options.timeout,
     )
     return evaluate(config, progress)
 
@@ -166,7 +173,7 @@ def _over_drives(
 ) -> dict[str, Any]:
     from dosplan.evaluation.tails import evaluate_drives
 
-    others = ("every", "scale_on", "loop", "settings", "futures", "traffic", "level")
+    others = ("every", "scale_on", "loop", "settings", "futures", "traffic", "level", "timeout")
     _refuse(options, others, "does not go with a run folder: its sets are those it was driven with")
     if methods:
         raise CommandError("a run folder is measured with the sets that it was driven with")
@@ -176,6 +183,7 @@ def _over_drives(
 def _over_futures(
     options: argparse.Namespace, methods: tuple[Method, ...], progress: Progress
 ) -> dict[str, Any]:
+    from dosplan.evaluation.evaluate import FILE_SECONDS
     from dosplan.evaluation.futures import FuturesConfig, evaluate_futures
     from dosplan.evaluation.metrics import COVERAGE
 
@@ -190,6 +198,7 @@ def _over_futures(
         level=COVERAGE if options.level is None else options.level,
         workers=options.workers,
         seed=options.seed,
+        file_timeout=FILE_SECONDS if options.timeout is None else options.timeout,
     )
     return evaluate_futures(config, progress)
 

@@ -8,12 +8,13 @@ listed. Results do not depend on the number of workers.
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from pebble import ProcessExpired
 
@@ -33,6 +34,8 @@ from dosplan.system.provenance import describe_environment
 from dosplan.system.workers import cause_of_death, seed_globals, worker_pool
 from dosplan.types import HISTORY_STEPS
 
+FILE_SECONDS: Final = 3600.0
+"""After so long a file counts as hung: with some methods, a recording of minutes takes many."""
 Progress = Callable[[int, int], None]
 _Samples = TypeVar("_Samples")
 
@@ -55,6 +58,7 @@ class EvaluationConfig:
             ``source`` itself.
         workers: Number of worker processes.
         seed: Seed of everything random.
+        file_timeout: Seconds after which a file counts as hung.
     """
 
     source: str
@@ -65,6 +69,7 @@ class EvaluationConfig:
     scale_on: str | None = None
     workers: int = 1
     seed: int = 0
+    file_timeout: float = FILE_SECONDS
 
     @property
     def chosen_loop(self) -> LoopSettings:
@@ -90,7 +95,21 @@ class EvaluationConfig:
                 raise EvaluationError(f"{name} is {getattr(self, name)}; it must be 1 or more")
         if self.seed < 0:
             raise EvaluationError(f"seed is {self.seed}; it must not be negative")
+        check_timeout(self.file_timeout)
         check_labels(self.methods)
+
+
+def check_timeout(seconds: float) -> None:
+    """Checks the time that a file may take.
+
+    Args:
+        seconds: The time, s.
+
+    Raises:
+        EvaluationError: It is not positive and finite.
+    """
+    if not 0.0 < seconds < threading.TIMEOUT_MAX:
+        raise EvaluationError(f"file_timeout is {seconds:g}; it must be a time above 0 s")
 
 
 def evaluate(
@@ -244,6 +263,7 @@ def each_file(
     arguments: tuple[Any, ...],
     workers: int,
     progress: Callable[[int], None],
+    timeout: float,
 ) -> tuple[list[_Samples], list[dict[str, str]]]:
     """Has worker processes take samples of files.
 
@@ -254,6 +274,7 @@ def each_file(
         arguments: The other arguments of the call.
         workers: Number of worker processes.
         progress: Called with the number of finished files.
+        timeout: Seconds after which a file counts as hung.
 
     Returns:
         The samples of all files that can be used, in their order, and what the others lack.
@@ -264,11 +285,12 @@ def each_file(
     results: dict[int, _Samples | str] = {}
     with worker_pool(min(workers, len(files))) as pool:
         futures: dict[Future[_Samples | str], int] = {
-            pool.schedule(call, (ref, *arguments)): i for i, ref in enumerate(files)
+            pool.schedule(call, (ref, *arguments), timeout=timeout): i
+            for i, ref in enumerate(files)
         }
         for future in as_completed(futures):
             i = futures[future]
-            results[i] = _result(future, files[i])
+            results[i] = _result(future, files[i], timeout)
             progress(len(results))
     samples: list[_Samples] = []
     failed: list[dict[str, str]] = []
@@ -286,13 +308,15 @@ def _sample_all(
 ) -> tuple[list[FileSamples], list[dict[str, str]]]:
     methods = json.dumps([asdict(method) for method in config.methods])
     arguments = (methods, config.every, config.chosen_loop, config.seed)
-    return each_file(sample_path, files, arguments, config.workers, progress)
+    return each_file(sample_path, files, arguments, config.workers, progress, config.file_timeout)
 
 
-def _result(future: Future[_Samples | str], ref: ScenarioRef) -> _Samples | str:
+def _result(future: Future[_Samples | str], ref: ScenarioRef, timeout: float) -> _Samples | str:
     """What a task returned, or one line on the end of its worker."""
     try:
         return future.result()
+    except TimeoutError:
+        return f"{ref.path}: timed out after {timeout:g} s; allow it more with --timeout"
     except ProcessExpired as error:
         return f"{ref.path}: {cause_of_death(error.exitcode)}"
     except BrokenProcessPool as error:

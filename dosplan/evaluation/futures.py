@@ -22,8 +22,10 @@ import numpy.typing as npt
 
 from dosplan.api import OraclePredictor, Predictor
 from dosplan.evaluation.evaluate import (
+    FILE_SECONDS,
     EvaluationError,
     Progress,
+    check_timeout,
     each_file,
     one_problem_each,
     predictors_of,
@@ -73,6 +75,7 @@ class FuturesConfig:
         level: What the sets are meant to cover, a share.
         workers: Number of worker processes.
         seed: Seed of everything random.
+        file_timeout: Seconds after which a file counts as hung.
     """
 
     source: str
@@ -82,6 +85,7 @@ class FuturesConfig:
     level: float = COVERAGE
     workers: int = 1
     seed: int = 0
+    file_timeout: float = FILE_SECONDS
 
     def __post_init__(self) -> None:
         for name in ("futures", "workers"):
@@ -91,6 +95,7 @@ class FuturesConfig:
             raise EvaluationError(f"level is {self.level}; it must be between 0 and 1")
         if self.seed < 0:
             raise EvaluationError(f"seed is {self.seed}; it must not be negative")
+        check_timeout(self.file_timeout)
         check_labels(self.methods)
 
 
@@ -153,7 +158,12 @@ def evaluate_futures(
     arguments = (methods, config.traffic, config.futures, config.seed)
     progress(0, len(files))
     samples, failed = each_file(
-        sample_pasts_of, files, arguments, config.workers, lambda done: progress(done, len(files))
+        sample_pasts_of,
+        files,
+        arguments,
+        config.workers,
+        lambda done: progress(done, len(files)),
+        config.file_timeout,
     )
     if not any(len(sample.kind) for sample in samples):
         cause = f"; the first that failed: {failed[0]['error']}" if failed else ""

@@ -519,6 +519,31 @@ def test_a_source_without_any_window_is_refused_with_its_first_failure(tmp_path:
         evaluate(EvaluationConfig(str(tmp_path), (Method("none", "none"),)))
 
 
+def test_a_method_that_hangs_costs_the_file(recordings: Path, tmp_path: Path) -> None:
+    plugin = tmp_path / "mine.py"
+    plugin.write_text(
+        "import time\n"
+        "from dosplan_simple.predictors import ConstantVelocityPredictor\n"
+        "class Hanging(ConstantVelocityPredictor):\n"
+        "    name = 'hanging-v1'\n"
+        "    def compute_occupancy(self, observation):\n"
+        "        if '_Test-0_' in observation.task.scenario_id:\n"
+        "            time.sleep(3600.0)\n"
+        "        return super().compute_occupancy(observation)\n"
+    )
+    methods = (Method("late", f"{plugin}:Hanging"),)
+    figures = evaluate(EvaluationConfig(str(recordings), methods, file_timeout=20.0))
+    (hung,) = (failure["error"] for failure in figures["data"]["failed"])
+    assert hung.endswith("ZAM_Test-0_1_T-1.xml: timed out after 20 s; allow it more with --timeout")
+    assert figures["data"]["evaluated"] == 2
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("inf"), float("nan")])
+def test_a_time_that_no_file_can_take_is_refused(seconds: float) -> None:
+    with pytest.raises(EvaluationError, match="file_timeout is"):
+        EvaluationConfig("x", (Method("none", "none"),), file_timeout=seconds)
+
+
 def test_a_worker_that_dies_or_a_method_that_raises_costs_the_file(
     recordings: Path, tmp_path: Path
 ) -> None:

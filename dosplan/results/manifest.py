@@ -9,7 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import Any, Final, Protocol
+from typing import Annotated, Any, Final, Protocol
+
+from msgspec import Meta
 
 from dosplan.results.folder import RunFolder
 from dosplan.system.files import FileError, read_json, write_json
@@ -17,6 +19,8 @@ from dosplan.system.provenance import Machine
 from dosplan.system.typed import plain, typed
 from dosplan.types import Arm, EpisodeKey, Score
 
+MOST_FUTURES: Final = 10_000
+"""Futures of each scenario that a run may have: a slip of the key shall not fill the memory."""
 SCENARIO_FILES: Final = "scenario files"
 """Key of the digest of the scenario files, in the order of the scenarios."""
 
@@ -38,7 +42,8 @@ class RunSettings:
         loop: Loop of the ego: ``ideal`` or ``realistic``, see ``loop.md``.
         loop_options: What was set of the loop's settings.
         arms: Arms to drive.
-        futures: Number of continuations of each scenario's past that are driven.
+        futures: Number of continuations of each scenario's past that are driven, at most
+            ``MOST_FUTURES``.
         workers: Number of worker processes on this machine.
         ids: Ids of the source's scenarios that are driven; none drives all.
         only: Of those, the ones with one of these texts in their id or among their tags
@@ -65,7 +70,7 @@ class RunSettings:
     loop: str = "ideal"
     loop_options: Mapping[str, Any] = field(default_factory=dict, hash=False)
     arms: tuple[Arm, ...] = tuple(Arm)
-    futures: int = 1
+    futures: Annotated[int, Meta(ge=1, le=MOST_FUTURES)] = 1
     workers: int = 1
     ids: tuple[str, ...] = ()
     only: tuple[str, ...] = ()

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from dosplan.plugins.loops import choose_loop
 from dosplan.plugins.settings import SettingsError
-from dosplan.results.manifest import RunSettings
+from dosplan.results.manifest import MOST_FUTURES, RunSettings
 from dosplan.simulation.settings import LoopSettings
 from dosplan.system.errors import DosplanError
 
@@ -53,6 +53,8 @@ class RunConfig(RunSettings):
             value = getattr(self, name)
             if value is not None and value <= 0:
                 raise RunError(f"{name} is {value}; it must be more than 0")
+        if self.futures > MOST_FUTURES:
+            raise RunError(f"futures is {self.futures}; it must be {MOST_FUTURES} or less")
         if self.seed < 0:
             raise RunError(f"seed is {self.seed}; it must not be negative")
         for name in ("planner_options", "predictor_options", "traffic_options", "loop_options"):

@@ -238,6 +238,7 @@ def test_a_full_disk_behind_stdout_is_one_line() -> None:
         (["run", "--with-dos", "--without-dos"], "not allowed with argument"),
         (["run", "--workers", "many"], "invalid int value: 'many'"),
         (["run", "--workers", "0"], "workers is 0; it must be more than 0"),
+        (["run", "--futures", "1000000000"], "futures is 1000000000; it must be 10000 or less"),
         (["run", "--timeout", "nan"], "episode_timeout is nan; it must be more than 0"),
         (["run", "--timeout", "inf"], "episode_timeout is inf; it must be more than 0"),
         (["run", "--timeout", "0"], "episode_timeout is 0.0; it must be more than 0"),

@@ -207,6 +207,7 @@ def test_a_number_too_large_for_a_row_is_named(tmp_path: Path, value: str) -> No
         ("predictor_options", [], "config.predictor_options: Expected `object`, got `array`"),
         ("arms", ["with_dos", "both"], "config.arms[1]: Invalid enum value 'both'"),
         ("seed", True, "config.seed: Expected `int`, got `bool`"),
+        ("futures", 10**9, "config.futures: Expected `int` <= 10000"),
     ],
 )
 def test_a_manifest_with_an_odd_configuration_is_named(

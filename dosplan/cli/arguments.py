@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -197,20 +196,6 @@ def add_moved_source(parser: argparse.ArgumentParser) -> None:
         metavar="SOURCE",
         help="where the scenarios lie now (default: where the run found them)",
     )
-
-
-@contextmanager
-def plugins_print_aside(json_path: Path | None) -> Iterator[None]:
-    """Sends what plug-ins print in this process to stderr, where stdout is for ``show`` alone.
-
-    Args:
-        json_path: Of ``--json``.
-
-    Yields:
-        Nothing.
-    """
-    with redirect_stdout(sys.stderr) if json_path == STDOUT else nullcontext():
-        yield
 
 
 def show(parts: Sequence[RenderableType], figures: Any, json_path: Path | None) -> None:

@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Any
 
-from dosplan.cli.arguments import add_json, plugins_print_aside, show
+from dosplan.cli.arguments import add_json, show
 from dosplan.cli.command import OK
 
 if TYPE_CHECKING:
@@ -51,14 +51,13 @@ class BenchCommand:
         """
         from dosplan.running.scaling import measure_scale
 
-        with plugins_print_aside(options.json):
-            figures = measure_scale(
-                options.planner,
-                options.predictor,
-                options.scenarios,
-                options.episodes,
-                lambda what: print(what, file=sys.stderr),
-            )
+        figures = measure_scale(
+            options.planner,
+            options.predictor,
+            options.scenarios,
+            options.episodes,
+            lambda what: print(what, file=sys.stderr),
+        )
         show(_tables(figures), figures, options.json)
         return OK
 

@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dosplan.cli.arguments import PLUGIN_HELP, add_json, plugins_print_aside, show
+from dosplan.cli.arguments import PLUGIN_HELP, add_json, show
 from dosplan.cli.command import FAILED, OK, CommandError
 from dosplan.system.errors import did_you_mean
 
@@ -60,8 +60,7 @@ class CheckCommand:
 
         if not 0.0 < options.timeout < threading.TIMEOUT_MAX:
             raise CommandError(f"--timeout is {options.timeout:g}; it must be a time above 0 s")
-        with plugins_print_aside(options.json):
-            report = _report(options)
+        report = _report(options)
         rows = [
             [check.name, "ok" if check.ok else "FAILED", check.message] for check in report.checks
         ]

@@ -16,7 +16,6 @@ from dosplan.cli.arguments import (
     add_workers,
     chosen_settings,
     console,
-    plugins_print_aside,
     show,
 )
 from dosplan.cli.command import FAILED, OK, CommandError
@@ -135,10 +134,7 @@ class EvaluateCommand:
         else:
             _refuse(options, ("scenarios",), "goes with a run folder only")
             measure = _over_recordings if options.futures is None else _over_futures
-        with (
-            plugins_print_aside(options.json),
-            show_progress(console(stderr=True), "files") as progress,
-        ):
+        with show_progress(console(stderr=True), "files") as progress:
             figures = measure(options, methods, progress)
         for failure in figures["data"]["failed"]:
             print(failure["error"], file=sys.stderr)

@@ -6,19 +6,20 @@ import argparse
 import shlex
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Final
 
 from dosplan.cli.arguments import (
     PLUGIN_HELP,
     SOURCE_HELP,
+    STDOUT,
     add_json,
     add_seed,
     add_workers,
     chosen_settings,
     console,
     is_source,
-    plugins_print_aside,
     setting_of,
     show,
 )
@@ -117,7 +118,8 @@ class RunCommand:
         try:
             # A table that is drawn anew would hide the prompt of a debugger.
             with (
-                plugins_print_aside(options.json),
+                # Of plug-ins in this process. A debugger keeps its terminal, without --json.
+                redirect_stdout(sys.stderr) if options.json == STDOUT else nullcontext(),
                 show_run(
                     console(stderr=True), live=not options.in_process, quiet=options.quiet
                 ) as observer,

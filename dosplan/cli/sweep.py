@@ -12,7 +12,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from dosplan.cli.arguments import add_json, add_workers, console, plugins_print_aside, show
+from dosplan.cli.arguments import add_json, add_workers, console, show
 from dosplan.cli.command import FAILED, INTERRUPTED, OK, CommandError
 
 if TYPE_CHECKING:
@@ -111,21 +111,19 @@ class SweepCommand:
         folder = SweepFolder(options.out or Path("runs") / options.file.stem)
         check_sweep(folder, runs)
         chosen = _chosen(runs, options.runs)
-        with plugins_print_aside(options.json):
-            parts = describe_sweep(
-                folder,
-                chosen,
-                workers=options.workers,
-                cluster=options.cluster,
-                cache=not options.no_cache,
-            )
+        parts = describe_sweep(
+            folder,
+            chosen,
+            workers=options.workers,
+            cluster=options.cluster,
+            cache=not options.no_cache,
+        )
         if options.dry_run:
             _show_plan(parts, options)
             return OK
         open_sweep(folder, runs)
         try:
-            with plugins_print_aside(options.json):
-                _drive(parts, options)
+            _drive(parts, options)
         except KeyboardInterrupt:
             hint = f"the same command with --out {shlex.quote(str(folder.path))} resumes"
             print(f"dosplan: interrupted; {hint}", file=sys.stderr)

@@ -305,7 +305,8 @@ def create_plugin(
 
 def _built(chosen: PluginSpec[Any], kind: PluginKind, spec: str, seed: int, **others: int) -> Any:
     try:
-        return chosen.build(seed, **others)
+        with redirect_stdout(sys.stderr):  # As where it is imported.
+            return chosen.build(seed, **others)
     except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
         place = failure_place(error, chosen.plugin)
         raise RegistryError(

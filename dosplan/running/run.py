@@ -13,9 +13,8 @@ and future.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, redirect_stdout
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import product
@@ -288,8 +287,7 @@ def _manifest(config: RunConfig, refs: Sequence[ScenarioRef]) -> RunManifest:
             f"predictor {predictor.plugin.name} is shown the future, so a ranked run refuses it; "
             "--unranked allows it and marks the results (in a sweep, ranked: false)"
         )
-    with redirect_stdout(sys.stderr):  # Prints of a plug-in do not belong to stdout.
-        _, built_predictor, _ = make_plugins(config)
+    _, built_predictor, _ = make_plugins(config)
     environment = describe_environment()
     return RunManifest(
         config=config.settings,

@@ -217,6 +217,9 @@ def test_what_a_plug_in_prints_is_no_part_of_the_json(
         "print('imported')",
         "class Chatty(CoastPlanner):",
         "    name = 'chatty-v1'",
+        "    def __init__(self, **given):",
+        "        super().__init__(**given)",
+        "        print('built')",
         "    def compute_plan(self, observation, occupancy):",
         "        print('plans')",
         "        return super().compute_plan(observation, occupancy)",
@@ -228,7 +231,7 @@ def test_what_a_plug_in_prints_is_no_part_of_the_json(
     assert main(given) == OK
     told = capsys.readouterr()
     assert json.loads(told.out) == json.loads((tmp_path / "run" / "summary.json").read_text())
-    assert {"imported", "plans"} <= set(told.err.split())
+    assert {"imported", "built", "plans"} <= set(told.err.split())
 
 
 def test_a_plug_in_that_leaves_the_working_folder_takes_no_result_along(

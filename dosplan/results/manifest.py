@@ -43,7 +43,7 @@ class RunSettings:
         loop_options: What was set of the loop's settings.
         arms: Arms to drive.
         futures: Number of continuations of each scenario's past that are driven, at most
-            ``MOST_FUTURES``.
+            10,000.
         workers: Number of worker processes on this machine.
         ids: Ids of the source's scenarios that are driven; none drives all.
         only: Of those, the ones with one of these texts in their id or among their tags

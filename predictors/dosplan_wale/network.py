@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,20 @@ def read_config() -> dict[str, Any]:
     return {**config, "use_cuda": False, "on_pred_learn_method": None, "online_layer": None}
 
 
-def open_network(config: dict[str, Any], weights: Path) -> nn.Module:
+@dataclass(frozen=True)
+class Network:
+    """Wale-Net, with the layers that read the image apart: they look at nothing else.
+
+    Attributes:
+        road: (B, 1, 256, 256) images of the road to their codes, (B, C, 1, 1).
+        rest: Past, (H, B, 2), neighbours, (H, 39 B, 2), and codes to (T, B, 5) Gaussians.
+    """
+
+    road: nn.Module
+    rest: nn.Module
+
+
+def open_network(config: dict[str, Any], weights: Path) -> Network:
     """Builds the network.
 
     The weights are a pickle, which can run code; torch's reader for tensors alone is used.
@@ -67,16 +81,21 @@ def open_network(config: dict[str, Any], weights: Path) -> nn.Module:
         ValueError: The file holds no such weights, or something else beside them.
     """
     with torch.random.fork_rng(devices=[]):  # The constructor sets the seed of the whole process.
-        network: nn.Module = predictionNet(config)
+        whole: nn.Module = predictionNet(config)
     try:
-        network.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
+        whole.load_state_dict(torch.load(weights, map_location="cpu", weights_only=True))
     except (OSError, RuntimeError, TypeError, EOFError, pickle.UnpicklingError) as error:
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
         raise ValueError(f"{weights}: not the weights of Wale-Net ({reason}); {INSTALL}") from None
-    network.eval().requires_grad_(False)
-    for name, weight in network.named_parameters():
-        # With channels last, the convolutions of the image, which take most of the time, are four
-        # times as fast. ``contiguous`` would not change the strides of a single channel.
-        if name.startswith("sc_conv") and weight.ndim == 4:
+    whole.eval().requires_grad_(False)
+    parts = dict(whole.named_children())
+    convolutions = [name for name in parts if name.startswith("sc_conv")]
+    road = nn.Sequential(*(x for name in convolutions for x in (parts[name], parts["sc_maxpool"])))
+    for name in (*convolutions, "sc_maxpool"):
+        setattr(whole, name, nn.Identity())
+    for weight in road.parameters():
+        # With channels last, the convolutions, which take most of the time, are four times as
+        # fast. ``contiguous`` would not change the strides of a single channel.
+        if weight.ndim == 4:
             weight.data = weight.data.to(memory_format=torch.channels_last)
-    return network
+    return Network(road, whole)

@@ -1,4 +1,4 @@
-"""``wale-net-v2``: the pretrained Wale-Net, whose Gaussians become ellipses.
+"""``wale-net-v3``: the pretrained Wale-Net, whose Gaussians become ellipses.
 
 Geisslinger, Karle et al., https://github.com/TUMFTM/Wale-Net, as its class ``WaleNet`` drives it,
 with two differences: road users go through the network together, and the last position it is shown
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import torch
@@ -27,11 +26,8 @@ from dosplan.types import (
 )
 from dosplan_wale.gaussians import ellipses
 from dosplan_wale.network import open_network, read_config, shipped_weights
-from dosplan_wale.scene import RoadImages, describe
-
-# Road users that go through the network at once. With more, the first layers' output, 8 MB each,
-# exceeds the processor's cache, and the time per road user grows.
-_TOGETHER: Final = 2
+from dosplan_wale.roads import RoadCodes
+from dosplan_wale.scene import describe
 
 
 @dataclass(frozen=True)
@@ -58,7 +54,7 @@ class WaleNetSettings(PredictorSettings):
 class WaleNetPredictor(Predictor):
     """Wale-Net; parked and static road users, which it does not know, stay where they are."""
 
-    name = "wale-net-v2"
+    name = "wale-net-v3"
     settings = WaleNetSettings
 
     def __init__(self, *, seed: int = 0, settings: WaleNetSettings = WaleNetSettings()) -> None:
@@ -78,8 +74,8 @@ class WaleNetPredictor(Predictor):
             raise ValueError(f"horizon is {self.horizon}, expected {longest} or less")
         self._chosen = settings
         self._steps: int = config["in_length"]
-        self._radius: float = config["watch_radius"]
-        self._network = open_network(config, shipped_weights())
+        network = open_network(config, shipped_weights())
+        self._network, self._roads = network.rest, RoadCodes(network.road, config["watch_radius"])
 
     def weight_files(self) -> tuple[Path, ...]:
         """The weights of Wale-Net's package."""
@@ -87,7 +83,7 @@ class WaleNetPredictor(Predictor):
 
     def prepare(self, task: PlanningTask, road_map: RoadMap) -> None:
         """Reads the map."""
-        self._images = RoadImages(road_map, self._radius)
+        self._roads.read(road_map)
 
     def compute_occupancy(self, observation: Observation) -> Occupancy:
         """Runs the network.
@@ -110,16 +106,15 @@ class WaleNetPredictor(Predictor):
         self, observation: Observation, moving: IntArray, heading: FloatArray
     ) -> FloatArray:
         """(M, T, 5) means, reciprocal standard deviations and correlation in Wale-Net's frames."""
+        if not len(moving):
+            return np.zeros((0, self.horizon, 5))
         seen = observation.states[moving, -self._steps :, :2]
         past = np.full((len(moving), self._steps, 2), np.nan)
         past[:, self._steps - seen.shape[1] :] = seen
+        rotation = heading - 0.5 * np.pi
         torch.set_num_threads(self._chosen.threads)  # For the whole process.
-        outputs = [np.zeros((0, self.horizon, 5))]
-        for start in range(0, len(moving), _TOGETHER):
-            rows = np.arange(start, min(start + _TOGETHER, len(moving)))
-            inputs = describe(past, heading, rows, self._images)
-            history, neighbours = map(torch.from_numpy, (inputs.history, inputs.neighbours))
-            with torch.inference_mode():
-                found = self._network(history, neighbours, torch.from_numpy(inputs.images))
-            outputs.append(found[: self.horizon].transpose(0, 1).double().numpy())
-        return np.concatenate(outputs)
+        inputs = describe(past, rotation)
+        history, neighbours = map(torch.from_numpy, (inputs.history, inputs.neighbours))
+        with torch.inference_mode():
+            found = self._network(history, neighbours, self._roads.codes(past[:, -1], rotation))
+        return np.asarray(found[: self.horizon].transpose(0, 1).double().numpy())

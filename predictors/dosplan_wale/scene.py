@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from dosplan.types import FloatArray, IntArray, Lanelet, RoadMap
+from dosplan.types import FloatArray, Lanelet, RoadMap
 from dosplan_wale import INSTALL
 
 try:
@@ -129,41 +129,31 @@ class Inputs:
         history: (H, B, 2) own positions, the present one last; 0 where it was not on the scene.
         neighbours: (H, 39 B, 2) positions of a neighbour in each cell of a grid of 3 x 13 cells
             around each road user; 0 where there is none.
-        images: (B, 1, 256, 256) the road around each.
     """
 
     history: Float32Array
     neighbours: Float32Array
-    images: Float32Array
 
 
-def describe(past: FloatArray, heading: FloatArray, rows: IntArray, images: RoadImages) -> Inputs:
-    """Makes the inputs of the network.
+def describe(past: FloatArray, rotation: FloatArray) -> Inputs:
+    """Makes the inputs of the network, but for the road.
 
     Args:
-        past: (M, H, 2) positions of all road users, the present ones last, m; NaN where one was
+        past: (B, H, 2) positions of the road users, the present ones last, m; NaN where one was
             not on the scene.
-        heading: (M,) their headings now, rad.
-        rows: (B,) those to be predicted.
-        images: The map.
+        rotation: (B,) how far their frames are turned against the scenario's, rad.
 
     Returns:
         The inputs.
     """
     steps = past.shape[1]
-    histories, neighbours, pictures = [], [], []
-    for row in rows:
-        position, rotation = past[row, -1], float(heading[row]) - 0.5 * np.pi
-        (local,) = transform_trajectories([past], position, rotation)
+    histories, neighbours = [], []
+    for row, turn in enumerate(rotation.tolist()):
+        (local,) = transform_trajectories([past], past[row, -1], turn)
         cells, *_ = generate_nbr_array(local, steps - 1, pp=steps)
         histories.append(local[row])
         neighbours.append(cells.reshape(-1, steps, 2))
-        pictures.append(images.draw(position, rotation))
-    return Inputs(
-        _by_step(np.stack(histories)),
-        _by_step(np.concatenate(neighbours)),
-        np.stack(pictures)[:, None].astype(np.float32),
-    )
+    return Inputs(_by_step(np.stack(histories)), _by_step(np.concatenate(neighbours)))
 
 
 def _by_step(positions: FloatArray) -> Float32Array:

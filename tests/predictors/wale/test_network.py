@@ -156,6 +156,29 @@ def test_what_is_not_known_to_move_stays_and_is_nobodys_neighbour() -> None:
     assert np.array_equal(wale_net(alone).predict(seen_at(alone, STEP)).centre[0], sets.centre[0])
 
 
+def test_the_road_is_looked_at_once_for_each_pose_and_told_alike() -> None:
+    drive = straight_scenario(steady_tracks([[30.0, 0.0, 0.0, 0.0], [20.0, 3.5, 0.0, 8.0]]))
+    kept = wale_net(drive)
+    looked: list[int] = []
+    kept._roads._layers.register_forward_hook(lambda *_: looked.append(1))  # type: ignore[attr-defined]
+    steps = range(STEP, STEP + 3)
+    first = [kept.predict(seen_at(drive, step)) for step in steps]
+    assert len(looked) == 4  # One stands, the other one is in three places.
+    kept.reset(drive.task, drive.road_map)  # Another arm.
+    again = [kept.predict(seen_at(drive, step)) for step in steps]
+    assert len(looked) == 4
+    for step, *found in zip(steps, first, again, strict=True):
+        fresh = wale_net(drive).predict(seen_at(drive, step))
+        for sets in found:
+            assert np.array_equal(sets.centre, fresh.centre)
+            assert np.array_equal(sets.semi_axes, fresh.semi_axes)
+    other = straight_map(length=60.0)
+    kept.reset(drive.task, other)
+    seen = seen_at(drive, STEP)
+    assert not np.array_equal(kept.predict(seen).centre, first[0].centre)
+    assert len(looked) == 6
+
+
 def test_a_turned_and_moved_scene_gives_turned_and_moved_sets() -> None:
     drive = straight_scenario(steady_tracks([[30.0, 0.0, 0.0, 8.0], [20.0, 3.5, 0.1, 9.0]]))
     seen = seen_at(drive, STEP)

@@ -24,7 +24,16 @@ from typing import Any, ClassVar, Generic, Self, TypeVar, final
 import numpy as np
 
 from dosplan.system.errors import DosplanError
-from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap, Tracks
+from dosplan.types import (
+    FloatArray,
+    Observation,
+    Occupancy,
+    Plan,
+    PlanningTask,
+    RoadMap,
+    Tracks,
+)
+from dosplan.types.arrays import EGO_COLUMNS
 from dosplan.vehicle import VehicleParameters
 
 START_TOLERANCE = 1e-6  # How far a plan's first state may be off the present one, m and rad.
@@ -49,6 +58,19 @@ def _refuse_overrides(plugin: type, base: type, instead: Mapping[str, str]) -> N
                 f"{plugin.__name__} overrides {base.__name__}.{method}, which belongs to the "
                 f"benchmark; override {hook} instead"
             )
+
+
+def _elsewhere(start: FloatArray, observation: Observation) -> str:
+    """How a plan's first state differs from the ego's."""
+    ego = observation.ego
+    if np.allclose(start[:2], observation.task.vehicle.centre(ego), atol=START_TOLERANCE):
+        return "the plan starts at the ego's centre, not at its rear axle"
+    column = int(np.argmax(np.abs(start - ego)))
+    name = ("x", "y", "steering angle", "velocity", "heading")[column]
+    return (
+        f"the plan starts {abs(start[column] - ego[column]):.3g} away from the ego's state, its "
+        f"{name} is {start[column]:.6g}, that of the ego {ego[column]:.6g}"
+    )
 
 
 @dataclass(frozen=True)
@@ -157,7 +179,7 @@ class Planner(ABC):
     Attributes:
         name: Versioned name that goes into results (``mpc-v12``); a changed behaviour is a new
             version.
-        settings: The frozen dataclass of its options; the constructor takes an instance of it.
+        settings: In the class the frozen dataclass of its options, in an instance its own ones.
         look_ahead: Number of predicted steps that it needs; a predictor with a shorter horizon is
             refused. A planner whose settings decide on it assigns it in its constructor.
         plan_steps: Number of steps that each of its plans lasts at least, assigned likewise; a loop
@@ -167,7 +189,7 @@ class Planner(ABC):
     """
 
     name: ClassVar[str]
-    settings: ClassVar[type[Any]] = NoSettings
+    settings: Any = NoSettings
     look_ahead: int = 1
     plan_steps: int | None = None
 
@@ -180,9 +202,10 @@ class Planner(ABC):
 
         Args:
             seed: Seed of the run.
-            settings: The options; a planner that has some keeps what it needs of them.
+            settings: The options.
         """
         self.seed = seed
+        self.settings = settings
         self.last_seconds = 0.0
 
     @final
@@ -225,11 +248,10 @@ class Planner(ABC):
             raise PluginError(
                 f"planner {self.name}: compute_plan returned {type(plan).__name__}, not a Plan"
             )
-        gap = float(np.max(np.abs(plan.states[0] - observation.ego)))
-        if gap > START_TOLERANCE:
+        if np.max(np.abs(plan.states[0] - observation.ego)) > START_TOLERANCE:
             raise PluginError(
-                f"planner {self.name}: the plan starts {gap:.3g} away from the ego's state; "
-                "Plan.states[0] must be observation.ego"
+                f"planner {self.name}: {_elsewhere(plan.states[0], observation)}; Plan.states[0] "
+                f"must be observation.ego: {EGO_COLUMNS}"
             )
         if self.plan_steps is not None and len(plan.inputs) < self.plan_steps:
             raise PluginError(
@@ -270,8 +292,8 @@ class Predictor(ABC):
 
     Attributes:
         name: Versioned name that goes into results (``constant-velocity-v1``).
-        settings: The frozen dataclass of its options, a ``PredictorSettings``; the constructor
-            takes an instance of it.
+        settings: In the class the frozen dataclass of its options, a ``PredictorSettings``; in an
+            instance its own ones.
         has_sets: Whether its sets have an extent. Where it predicts points, both arms drive alike,
             and a sweep drives one.
         horizon: Number T of steps that it predicts.
@@ -279,7 +301,7 @@ class Predictor(ABC):
     """
 
     name: ClassVar[str]
-    settings: ClassVar[type[PredictorSettings]] = PredictorSettings
+    settings: Any = PredictorSettings
     has_sets: ClassVar[bool] = True
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
@@ -291,9 +313,10 @@ class Predictor(ABC):
 
         Args:
             seed: Seed of the run.
-            settings: The options; a predictor that has more keeps what it needs of them.
+            settings: The options.
         """
         self.seed = seed
+        self.settings = settings
         self.horizon = settings.horizon
         self.last_seconds = 0.0
 

@@ -71,7 +71,12 @@ class CheckCommand:
         }
         verdict = "keeps the contract" if report.ok else "breaks the contract"
         checks = table(["check", "result", ""], rows, numbers=False)
-        show([checks, f"{report.plugin} {verdict}"], figures, options.json)
+        lines = [f"{report.plugin} {verdict}"]
+        if report.ok:
+            lines.append(
+                "in a few scenes that are built for the checks; next, a real run of --limit 10"
+            )
+        show([checks, *lines], figures, options.json)
         return OK if report.ok else FAILED
 
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from dosplan.cli.arguments import add_json, add_moved_source, show
+from dosplan.cli.arguments import add_json, add_moved_source, console, show
 from dosplan.cli.command import FAILED, OK
 
 _EXAMPLES: Final = """\
@@ -43,9 +43,11 @@ class ScoreCommand:
             FileError: It is not the folder of a finished run, a file of it or a scenario cannot be
                 read, or a file cannot be written.
         """
+        from dosplan.report.progress import show_progress
         from dosplan.results.rescore import change_lines, rescore
 
-        found = rescore(options.run_folder, options.source)
+        with show_progress(console(stderr=True), "episodes") as progress:
+            found = rescore(options.run_folder, options.source, progress)
         if options.write:
             found.write()
         changed = len(found.changes)

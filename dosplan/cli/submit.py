@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from dosplan.cli.arguments import add_json, add_moved_source, show
+from dosplan.cli.arguments import add_json, add_moved_source, console, show
 from dosplan.cli.command import BAD_INPUT, FAILED, OK
 from dosplan.results.published import LEADERBOARD
 
@@ -62,13 +62,15 @@ class SubmitCommand:
             FileError: The row cannot be written.
             ScenarioError: A suite of dosplan is not there.
         """
+        from dosplan.report.progress import show_progress
         from dosplan.results.leaderboard import About, SubmissionError, write_submission
         from dosplan.running.submission import make_submission
         from dosplan.system.typed import plain
 
         try:
             about = About(name=options.name, authors=options.authors, url=options.url)
-            found = make_submission(options.run_folder, about, options.source)
+            with show_progress(console(stderr=True), "episodes") as progress:
+                found = make_submission(options.run_folder, about, options.source, progress)
             path = None if options.check else write_submission(options.out, found)
         except SubmissionError as error:
             for reason in error.reasons:

@@ -8,6 +8,12 @@ from dosplan.geometry.ellipse import (
     mahalanobis,
     set_sizes,
 )
+from dosplan.geometry.following import (
+    AccelerationLaw,
+    PathFollower,
+    extended_path,
+    follow_poses,
+)
 from dosplan.geometry.lanes import side_by_side
 from dosplan.geometry.lights import NO_LIGHT, LightIndex, LightsAhead, lights_at
 from dosplan.geometry.path import (
@@ -45,9 +51,11 @@ __all__ = [
     "PATH_SIZE",
     "PATH_X",
     "PATH_Y",
+    "AccelerationLaw",
     "EvenPath",
     "LightIndex",
     "LightsAhead",
+    "PathFollower",
     "ReferencePath",
     "StopRules",
     "StopSettings",
@@ -60,6 +68,8 @@ __all__ = [
     "ellipse_area",
     "ellipse_boundary",
     "ellipse_extent",
+    "extended_path",
+    "follow_poses",
     "inside_ellipse",
     "lanelet_cells",
     "lanelet_polygon",

@@ -19,9 +19,21 @@ from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, Final
 
-from dosplan.api import DeadlineSettings, Planner, PluginSpec, Predictor, PredictorSettings
+from dosplan.api import (
+    DeadlineSettings,
+    NoSettings,
+    Planner,
+    PluginSpec,
+    Predictor,
+    PredictorSettings,
+)
 from dosplan.plugins.files import load_file, loaded_file, local_modules
-from dosplan.plugins.settings import SettingsError, apply_options, plain_settings
+from dosplan.plugins.settings import (
+    HOW_OPTIONS,
+    SettingsError,
+    apply_options,
+    plain_settings,
+)
 from dosplan.simulation.settings import LoopSettings
 from dosplan.simulation.traffic import Traffic
 from dosplan.system.errors import DosplanError, did_you_mean, failure_place, one_line
@@ -304,13 +316,22 @@ def create_plugin(
 
 
 def _built(chosen: PluginSpec[Any], kind: PluginKind, spec: str, seed: int, **others: int) -> Any:
+    named = {"seed": seed, "settings": chosen.settings, **others}
+    try:
+        inspect.signature(chosen.plugin).bind(**named)
+    except (TypeError, ValueError) as error:
+        raise RegistryError(
+            f"{kind.word} {spec!r} cannot be built: {error}; its constructor must take "
+            f"{', '.join(named)}. {HOW_OPTIONS}"
+        ) from None
     try:
         with redirect_stdout(sys.stderr):  # As where it is imported.
             return chosen.build(seed, **others)
     except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
         place = failure_place(error, chosen.plugin)
+        hint = f". {HOW_OPTIONS}" if NoSettings.__name__ in str(error) else ""
         raise RegistryError(
-            f"{kind.word} {spec!r} cannot be built: {one_line(error)} ({place})"
+            f"{kind.word} {spec!r} cannot be built: {one_line(error)} ({place}){hint}"
         ) from error
 
 

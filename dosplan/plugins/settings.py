@@ -32,6 +32,12 @@ _SHOWN: Final = 60
 """Characters of a wrong value that are shown."""
 
 
+HOW_OPTIONS: Final = (
+    "Options are the fields of a frozen dataclass, which the class names: settings = MySettings"
+)
+"""What to do about a plug-in whose options are declared otherwise."""
+
+
 class SettingsError(DosplanError, ValueError):
     """An option that a plug-in does not take; the message is one line."""
 
@@ -71,7 +77,7 @@ def apply_options(
         if head not in taken:
             raise SettingsError(
                 f"takes no option {inside + head!r}{did_you_mean(head, taken)} "
-                f"(options: {', '.join(inside + name for name in taken) or 'none'})"
+                f"(options: {', '.join(inside + name for name in taken) or f'none. {HOW_OPTIONS}'})"
             )
         if dot:
             parts.setdefault(head, {})[rest] = value

@@ -142,12 +142,18 @@ def compare_rows(
         CompareError: The sides did not drive the same scenarios and futures, or none.
     """
     others = {row.scenario_future: row for row in b}
-    if odd := {row.scenario_future for row in a} ^ others.keys():
-        only, lacks = (name_b, name_a) if min(odd) in others else (name_a, name_b)
-        raise CompareError(
-            f"{name_a} and {name_b} did not drive the same scenarios and futures: "
-            f"{min(odd).title} is in {only} alone; drive it in {lacks} too"
-        )
+    here = {row.scenario_future for row in a}
+    for only, lacks, odd in (
+        (name_b, name_a, others.keys() - here),
+        (name_a, name_b, here - others.keys()),
+    ):
+        if odd:
+            are, them = (f" and {len(odd) - 1} more are", "them") if len(odd) > 1 else (" is", "it")
+            raise CompareError(
+                f"{name_a} and {name_b} did not drive the same scenarios and futures: "
+                f"{min(odd).title}{are} in {only} alone; drive {them} "
+                f"in {lacks} too: the same command without --limit, or with more --futures"
+            )
     if not a:
         raise CompareError(f"{name_a} and {name_b} hold no scenario")
     every = [(row, others[row.scenario_future]) for row in a]

@@ -12,7 +12,7 @@ the values of the row.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -89,12 +89,17 @@ class Rescored:
             write_text(self.folder.summary_text, summary_markdown(summary))
 
 
-def rescore(path: Path, source: Source | None = None) -> Rescored:
+def rescore(
+    path: Path,
+    source: Source | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Rescored:
     """Scores a finished run again. Nothing is written.
 
     Args:
         path: The run folder.
         source: Where the scenarios lie now; where the run found them if None.
+        progress: Called with the number of episodes that are scored and of all.
 
     Returns:
         The rows, and how they differ from those of the run.
@@ -112,6 +117,7 @@ def rescore(path: Path, source: Source | None = None) -> Rescored:
         for row, drive in drives_of(folder, list(rows), scenarios):
             kept += drive is None
             now.append(row if drive is None else _scored(drive))
+        progress(len(now), len(before))
     compared = (_change(*pair) for pair in zip(before, now, strict=True))
     changes = tuple(change for change in compared if change.columns)
     return Rescored(folder, manifest, tuple(now), changes, kept)

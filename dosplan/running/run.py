@@ -399,9 +399,10 @@ def _check_same(
     if odd is None and held not in files.values():
         odd = _CONTENT
     if odd is not None:
+        again = "put the old files back" if odd == _CONTENT else "give the same arguments"
         raise RunError(
             f"{folder.path} holds a run with another {odd}; nothing was changed. "
-            "Choose another --out, or give the same arguments to resume"
+            f"Choose another --out, or {again} to resume"
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -39,7 +39,12 @@ One alone is won by who bets on what was recorded; two are what ``make run`` dri
 """
 
 
-def make_submission(run: Path, about: About = NOBODY, source: str | None = None) -> Submission:
+def make_submission(
+    run: Path,
+    about: About = NOBODY,
+    source: str | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Submission:
     """Checks a run and makes its row. Nothing is written.
 
     Args:
@@ -47,6 +52,7 @@ def make_submission(run: Path, about: About = NOBODY, source: str | None = None)
         about: What its authors say of it.
         source: Where the scenarios lie now; where the run found them if None. An embedded suite
             is always that of dosplan.
+        progress: Called with the number of episodes that are scored again and of all.
 
     Returns:
         The row.
@@ -73,7 +79,7 @@ def make_submission(run: Path, about: About = NOBODY, source: str | None = None)
     if not reasons and chosen is not None:
         where = source or chosen.source or manifest.config.source
         try:
-            reasons += _other_files(manifest, chosen, where) or _other_rows(run, where)
+            reasons += _other_files(manifest, chosen, where) or _other_rows(run, where, progress)
         except (FileError, ScenarioError, RegistryError) as error:
             reasons.append(str(error))
     if reasons or chosen is None:
@@ -188,8 +194,10 @@ def _other_files(
     return []
 
 
-def _other_rows(run: Path, where: str | tuple[str, ...]) -> list[str]:
-    changes = rescore(run, where).changes
+def _other_rows(
+    run: Path, where: str | tuple[str, ...], progress: Callable[[int, int], None]
+) -> list[str]:
+    changes = rescore(run, where, progress).changes
     if not changes:
         return []
     return [

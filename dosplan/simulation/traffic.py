@@ -75,7 +75,7 @@ class Traffic(ABC):
 
     Attributes:
         name: Name that goes into results; a changed behaviour is a new name.
-        settings: The frozen dataclass of its options; the constructor takes an instance of it.
+        settings: In the class the frozen dataclass of its options, in an instance its own ones.
         as_recorded: Whether all drive as recorded, whatever the ego does. The tracks of an
             episode are then those of the scenario's recorded future of that number, and only then
             may a predictor be shown them. A subclass does not inherit it, as it may depart from
@@ -85,7 +85,7 @@ class Traffic(ABC):
     """
 
     name: ClassVar[str]
-    settings: ClassVar[type[Any]] = NoSettings
+    settings: Any = NoSettings
     as_recorded: ClassVar[bool] = False
     has_futures: ClassVar[bool] = False
 
@@ -103,11 +103,12 @@ class Traffic(ABC):
 
         Args:
             seed: Seed of the run.
-            settings: The options; a traffic that has some keeps what it needs of them.
+            settings: The options.
             future: Which continuation of the same past is driven, 0 or more. A run has future 0
                 alone unless it asks for several.
         """
         self.seed = seed
+        self.settings = settings
         self.future = future
 
     @classmethod

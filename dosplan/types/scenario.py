@@ -156,7 +156,7 @@ class Route:
     Attributes:
         lanelet_ids: Lanelets in the order they are driven; a lane change is a neighbour.
         arclength: (P,) arc length, m, equally spaced from 0.
-        path: (P, 2) reference path, m.
+        path: (P, 2) reference path for the rear axle, along the middle of the lanes, m.
         heading: (P,) heading of the path, rad, continuous (unwrapped).
         curvature: (P,) signed curvature, 1/m, left positive.
         left: (P,) lateral offset of the left edge of the drivable area less lanes against the

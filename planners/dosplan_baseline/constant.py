@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from dosplan.api import NoSettings, Planner
+from dosplan.geometry import PathFollower, extended_path
 from dosplan.types import Observation, Occupancy, Plan, PlanningTask, RoadMap
 from dosplan.vehicle import VehicleParameters
-from dosplan_baseline.tracking import PLAN_STEPS, PathFollower, extended_path
+from dosplan_baseline.tracking import PLAN_STEPS
 
 
 class ConstantAccelerationPlanner(Planner):

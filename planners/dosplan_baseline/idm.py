@@ -14,10 +14,12 @@ import shapely
 
 from dosplan.api import Planner
 from dosplan.geometry import (
+    PathFollower,
     ReferencePath,
     StopRules,
     StopSettings,
     braking_envelope,
+    extended_path,
     rectangle_corners,
     set_sizes,
 )
@@ -34,7 +36,7 @@ from dosplan.types import (
 )
 from dosplan.types.checks import check_numbers
 from dosplan.vehicle import VehicleParameters
-from dosplan_baseline.tracking import PLAN_STEPS, PathFollower, bend_speed, extended_path
+from dosplan_baseline.tracking import PLAN_STEPS, bend_speed
 
 _UNLIMITED = 100.0  # m/s; stands for no speed limit.
 _BESIDE = 5.0  # m; a region that is farther off the path is not come by.

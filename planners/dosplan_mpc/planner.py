@@ -16,7 +16,7 @@ class MpcPlanner(Planner):
 
     name: ClassVar[str] = "mpc-v12"
 
-    settings: ClassVar[type[MpcConfig]] = MpcConfig
+    settings = MpcConfig
 
     def __init__(self, *, seed: int = 0, settings: MpcConfig = MpcConfig()) -> None:
         """Keeps the settings; the problem itself is built at the first episode.

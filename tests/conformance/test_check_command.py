@@ -43,7 +43,8 @@ BROKEN = {
     "StartsElsewhere": (
         "plans",
         "raised PluginError: planner starts-elsewhere-v1: the plan starts 1 away from the ego's "
-        "state; Plan.states[0] must be observation.ego (api.py)",
+        "state, its x is 1, that of the ego 0; Plan.states[0] must be observation.ego: x and y of "
+        "the rear axle, steering angle, velocity, heading (api.py)",
     ),
     "Teleporter": (
         "vehicle_model",

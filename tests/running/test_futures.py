@@ -233,7 +233,9 @@ def test_runs_of_other_futures_are_not_compared(
     finished: RunFolder, scenes: Path, tmp_path: Path
 ) -> None:
     fewer = run_here(_config(tmp_path / "out", scenes, futures=1))
-    with pytest.raises(CompareError, match=r"ZAM_Test-0_1_T-1, future 1 is in .* alone; drive it"):
+    with pytest.raises(
+        CompareError, match=r"ZAM_Test-0_1_T-1, future 1 and 3 more are in .* alone; drive them"
+    ):
         compare_runs([str(finished.path), str(fewer.path)])
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from dosplan_baseline.tracking import extended_path
 
-from dosplan.geometry import ReferencePath, rectangle_corners
+from dosplan.geometry import ReferencePath, extended_path, rectangle_corners
 from dosplan.types import EGO_VELOCITY, USER_VELOCITY, FloatArray, IntArray, Scenario
 from dosplan.vehicle import VehicleParameters
 

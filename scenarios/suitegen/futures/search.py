@@ -16,10 +16,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import shapely
-from dosplan_baseline.tracking import PathFollower
 from scipy.spatial import cKDTree
 
-from dosplan.geometry import ReferencePath, rectangle_corners, wrap_angle
+from dosplan.geometry import PathFollower, ReferencePath, rectangle_corners, wrap_angle
 from dosplan.scoring.bounds import outside
 from dosplan.scoring.collision import contacts, overlap_window
 from dosplan.scoring.score import score

@@ -17,7 +17,7 @@ from dosplan_baseline.idm import (
     idm_acceleration,
     set_corners,
 )
-from dosplan_baseline.tracking import PathFollower, bend_speed, extended_path
+from dosplan_baseline.tracking import bend_speed
 from dosplan_simple.predictors import ConstantVelocityPredictor, NonePredictor
 from dosplan_simple.sets import GrowingCirclePredictor, GrowingCircleSettings
 from hypothesis import given, settings
@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from shapely.geometry import Polygon, box
 
 from dosplan.api import Planner
-from dosplan.geometry import ReferencePath
+from dosplan.geometry import PathFollower, ReferencePath, extended_path
 from dosplan.scenario.synthetic import (
     LANE_WIDTH,
     growing_sets,

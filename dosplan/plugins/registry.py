@@ -318,21 +318,31 @@ def create_plugin(
 def _built(chosen: PluginSpec[Any], kind: PluginKind, spec: str, seed: int, **others: int) -> Any:
     named = {"seed": seed, "settings": chosen.settings, **others}
     try:
-        inspect.signature(chosen.plugin).bind(**named)
-    except (TypeError, ValueError) as error:
-        raise RegistryError(
-            f"{kind.word} {spec!r} cannot be built: {error}; its constructor must take "
-            f"{', '.join(named)}. {HOW_OPTIONS}"
-        ) from None
-    try:
         with redirect_stdout(sys.stderr):  # As where it is imported.
             return chosen.build(seed, **others)
     except (Exception, SystemExit) as error:  # A plug-in's constructor may raise anything.
         place = failure_place(error, chosen.plugin)
-        hint = f". {HOW_OPTIONS}" if NoSettings.__name__ in str(error) else ""
+        hint = ""
+        if not _can_take(chosen.plugin, named):
+            hint = f"; its constructor must take {', '.join(named)}. {HOW_OPTIONS}"
+        elif NoSettings.__name__ in str(error):
+            hint = f". {HOW_OPTIONS}"
         raise RegistryError(
             f"{kind.word} {spec!r} cannot be built: {one_line(error)} ({place}){hint}"
         ) from error
+
+
+def _can_take(constructor: Any, named: Mapping[str, object]) -> bool:
+    """Whether arguments can be given; true where the constructor does not tell what it takes."""
+    try:
+        signature = inspect.signature(constructor)
+    except (TypeError, ValueError):
+        return True
+    try:
+        signature.bind(**named)
+    except TypeError:
+        return False
+    return True
 
 
 def record(chosen: PluginSpec[Any]) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from dosplan.plugins.registry import (
     RegistryError,
     create_planner,
     create_predictor,
+    create_traffic,
     find_planner,
     find_predictor,
     list_plugins,
@@ -131,6 +132,39 @@ def test_a_broken_file_is_explained_in_one_line(tmp_path: Path, source: str, mes
 def test_a_constructor_that_raises_is_explained() -> None:
     with pytest.raises(RegistryError, match=r"cannot be built: OSError: the weights are missing"):
         create_planner(f"{PLUGINS}:UnbuildablePlanner", seed=0)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (
+            ["def __init__(self, gap=10.0):", " super().__init__()", " self.gap = gap"],
+            r"unexpected keyword argument 'seed'.*; its constructor must take seed, settings\. "
+            r"Options are the fields of a frozen dataclass.*: settings = MySettings",
+        ),
+        (
+            ["def __init__(self, *, seed=0, settings=NoSettings()):", " self.gap = settings.gap"],
+            r"'NoSettings' object has no attribute 'gap' .*\. Options are the fields of a frozen",
+        ),
+    ],
+)
+def test_options_that_are_declared_otherwise_are_explained(
+    tmp_path: Path, lines: list[str], message: str
+) -> None:
+    file = tmp_path / "odd.py"
+    body = "\n ".join(["name = 'odd-v1'", *lines, "def compute_plan(self, o, s): ..."])
+    file.write_text(f"from dosplan.api import NoSettings, Planner\nclass P(Planner):\n {body}\n")
+    with pytest.raises(RegistryError, match=message):
+        create_planner(f"{file}:P", seed=0)
+    with pytest.raises(RegistryError, match=r"options: none\. Options are the fields of a frozen"):
+        create_planner(f"{file}:P", seed=0, options={"gap": 5.0})
+
+
+def test_the_settings_of_an_instance_are_its_own() -> None:
+    assert create_planner("mpc", 0, {"sampler.lane": 2.0}).settings.sampler.lane == 2.0
+    assert create_predictor("fixed-circle", 0, {"r": 3.0}).settings.r == 3.0
+    reactive = create_traffic("reactive", 0, {"full_braking": 7.0})
+    assert reactive.settings.full_braking == 7.0
 
 
 def test_a_name_offered_twice_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

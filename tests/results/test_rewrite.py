@@ -17,6 +17,7 @@ PUBLISHED = Path(__file__).parents[2] / "results"
 RUNS = (
     *("suite", "suite/realistic", "suite/five-futures", "suite-1"),
     *("recorded", "recorded/realistic"),
+    *("planning/reactive/suite-1", "planning/reactive/recorded"),
     *sorted(f"proof/runs/{path.name}" for path in (PUBLISHED / "proof/runs").glob("*/")),
     *sorted(f"frontier/runs/{path.name}" for path in (PUBLISHED / "frontier/runs").glob("*/")),
 )

@@ -63,7 +63,7 @@ def _refuse_overrides(plugin: type, base: type, instead: Mapping[str, str]) -> N
 def _elsewhere(start: FloatArray, observation: Observation) -> str:
     """How a plan's first state differs from the ego's."""
     ego = observation.ego
-    if np.allclose(start[:2], observation.task.vehicle.centre(ego), atol=START_TOLERANCE):
+    if np.allclose(start[:2], observation.task.vehicle.centre(ego), 0.0, START_TOLERANCE):
         return "the plan starts at the ego's centre, not at its rear axle"
     column = int(np.argmax(np.abs(start - ego)))
     name = ("x", "y", "steering angle", "velocity", "heading")[column]

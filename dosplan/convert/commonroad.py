@@ -136,9 +136,9 @@ def convert_commonroad(
 
     Returns:
         What was made: ``files`` and ``unreadable`` (number of files, and a line for each that
-            cannot be used, or is of the same scene as one before), ``tracks`` by CommonRoad
-            obstacle type, ``seconds``, ``recordings`` and ``scenarios`` (numbers of files
-            written), and ``refused``, the number of moments by why they make no scenario.
+        cannot be used, or is of the same scene as one before), ``tracks`` by CommonRoad obstacle
+        type, ``seconds``, ``recordings`` and ``scenarios`` (numbers of files written), and
+        ``refused``, the number of moments by why they make no scenario.
 
     Raises:
         ScenarioError: Nothing is found, or no file can be used.

@@ -24,9 +24,7 @@ from dosplan.types import (
 from dosplan.types.vehicle import VehicleParameters
 
 _STEPS: Final = 30  # 3 s.
-_EXTENSION: Final = (
-    100.0  # m of straight road added at both ends, so that every projection is inside.
-)
+_EXTENSION: Final = 100.0  # m of straight road at both ends, so that every projection is inside.
 _THINNING: Final = 0.005  # m; how far the line that points are projected on may be off the path.
 _ACTUATION: Final = 0.2  # Time within which the wheels shall reach the wanted angle, s.
 _LENGTH_TIME: Final = 0.8  # The lateral error decays over this time at speed, s ...

@@ -97,6 +97,15 @@ class ElsewherePlanner(ConstantPlanner):
         return Plan(states=np.tile(observation.ego + 1.0, (2, 1)), inputs=np.zeros((1, 2)))
 
 
+class CentrePlanner(ConstantPlanner):
+    name = "centre-v1"
+
+    def compute_plan(self, observation: Observation, occupancy: Occupancy) -> Plan:
+        centre = np.array(observation.ego)
+        centre[:2] = observation.task.vehicle.centre(observation.ego)
+        return Plan(states=np.tile(centre, (2, 1)), inputs=np.zeros((1, 2)))
+
+
 class NotPlanningPlanner(ConstantPlanner):
     name = "not-planning-v1"
 
@@ -274,6 +283,7 @@ def test_a_plugin_that_exits_is_blamed_at_its_own_line_and_its_traceback_is_hand
     ("planner", "predictor", "message"),
     [
         (ElsewherePlanner, NonePredictor, "planner elsewhere-v1: PluginError: .* starts 1 away"),
+        (CentrePlanner, NonePredictor, "starts at the ego's centre, not at its rear axle"),
         (NotPlanningPlanner, NonePredictor, "planner not-planning-v1: .* returned ndarray"),
         (UnpreparedPlanner, NonePredictor, "planner unprepared-v1: KeyError: 'route'"),
         (ConstantPlanner, RaisingPredictor, "predictor raising-v2: ValueError: too foggy"),

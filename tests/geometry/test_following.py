@@ -19,6 +19,11 @@ def ego_at(velocity: float, y: float = 0.0) -> FloatArray:
     return np.array([0.0, y, 0.0, velocity, 0.0])
 
 
+def moments(last: float, every: float) -> FloatArray:
+    """Times up to ``last``, ``every`` so often, s."""
+    return np.asarray(every * np.arange(1, round(last / every) + 1), dtype=float)
+
+
 def along_arc(way: FloatArray, radius: float) -> FloatArray:
     """(K, 3) poses on an arc to the left that begins at the origin, along x."""
     angle = way / radius
@@ -38,7 +43,7 @@ def off(plan: Plan, poses: FloatArray, every: int) -> float:
 )
 @settings(max_examples=40, deadline=None)
 def test_who_can_be_there_in_time_is(radius: float, velocity: float, every: int) -> None:
-    times = np.arange(1, 40 // every + 1) * every * DT
+    times = moments(4.0, every * DT)
     poses = along_arc(velocity * times, radius)
     plan = follow_poses(VEHICLE, ego_at(velocity), poses, times, DT)
     assert len(plan.inputs) == round(times[-1] / DT)
@@ -47,7 +52,7 @@ def test_who_can_be_there_in_time_is(radius: float, velocity: float, every: int)
 
 
 def test_it_brakes_and_stands_where_the_poses_do() -> None:
-    times = np.arange(1, 11) * 0.5
+    times = moments(5.0, 0.5)
     way = np.where(times < 2.5, 5.0 * times - 1.0 * times**2, 6.25)  # At 2 m/s2 from 5 m/s.
     plan = follow_poses(VEHICLE, ego_at(5.0), along_arc(way, 1e6), times, DT)
     assert plan.states[-1, 0] == pytest.approx(6.25, abs=0.1)
@@ -57,12 +62,12 @@ def test_it_brakes_and_stands_where_the_poses_do() -> None:
 
 def test_who_is_to_stand_stands() -> None:
     poses = np.zeros((8, 3))
-    plan = follow_poses(VEHICLE, ego_at(0.0), poses, np.arange(1, 9) * 0.5, DT)
+    plan = follow_poses(VEHICLE, ego_at(0.0), poses, moments(4.0, 0.5), DT)
     assert np.allclose(plan.states, ego_at(0.0))
 
 
 def test_it_comes_back_to_poses_beside_it() -> None:
-    times = np.arange(1, 41) * DT
+    times = moments(4.0, DT)
     poses = along_arc(8.0 * times, 1e6)[9:]
     plan = follow_poses(VEHICLE, ego_at(8.0, y=0.5), poses, times[9:], DT)
     assert abs(plan.states[-1, 1]) < 0.1

@@ -23,7 +23,6 @@ from dosplan.types import (
 )
 from dosplan.types.vehicle import VehicleParameters
 
-_STEPS: Final = 30  # 3 s.
 _EXTENSION: Final = 100.0  # m of straight road at both ends, so that every projection is inside.
 _THINNING: Final = 0.005  # m; how far the line that points are projected on may be off the path.
 _ACTUATION: Final = 0.2  # Time within which the wheels shall reach the wanted angle, s.
@@ -113,7 +112,7 @@ class PathFollower:
         self,
         state: FloatArray,
         acceleration: AccelerationLaw,
-        steps: int = _STEPS,
+        steps: int,
         last: float | None = None,
     ) -> Plan:
         """A plan that follows the path with a given law for the speed.

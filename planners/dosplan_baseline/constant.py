@@ -50,4 +50,6 @@ class ConstantAccelerationPlanner(Planner):
         """
         if self._follower is None:
             raise RuntimeError("no episode has begun: reset comes before plan")
-        return self._follower.roll_out(observation.ego, lambda step, s, v: self.acceleration)
+        return self._follower.roll_out(
+            observation.ego, lambda step, s, v: self.acceleration, PLAN_STEPS
+        )

@@ -189,11 +189,12 @@ def _at(where: Path, label: str, chosen: bool = True) -> list[Candidate]:
 def _in_folder(folder: Path, label: str) -> list[Candidate]:
     if "://" not in str(folder):
         _check_access(folder)
-    inside = ((file, file.relative_to(folder)) for file in sorted(folder.rglob("*")))
+    files = sorted(file for file in folder.rglob("*") if is_scenario(file.name))
+    inside = ((file, file.relative_to(folder)) for file in files)
     return [
         Candidate(file, "/".join(filter(None, (label, name.as_posix()))))
         for file, name in inside
-        if is_scenario(name.name) and not any(part.startswith(".") for part in name.parts)
+        if not any(part.startswith(".") for part in name.parts)
     ]
 
 

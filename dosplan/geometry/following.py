@@ -21,6 +21,7 @@ from dosplan.types import (
     Route,
     ShapeError,
 )
+from dosplan.types.arrays import check_finite
 from dosplan.types.vehicle import VehicleParameters
 
 _EXTENSION: Final = 100.0  # m of straight road at both ends, so that every projection is inside.
@@ -171,8 +172,8 @@ def follow_poses(
             f"poses and times have the shapes {poses.shape} and {times.shape}, expected (K, 3): x, "
             "y, heading, and (K,)"
         )
-    if not (np.all(np.isfinite(poses)) and np.all(np.isfinite(times))):
-        raise ShapeError("poses or times hold a NaN or an infinite value")
+    check_finite(poses, "an array of poses")
+    check_finite(times, "an array of times")
     moments = np.concatenate([[0.0], times])
     steps = round(float(moments[-1]) / dt)
     if steps < 1 or np.any(np.diff(moments) <= 0.0):

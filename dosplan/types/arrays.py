@@ -46,6 +46,10 @@ USER_VELOCITY: Final = 3
 USER_SIZE: Final = 4
 """Number of columns of a road user's state."""
 
+MAX_NUMBER: Final = 1e9
+"""Largest number of a scene or a plan: what is larger is no length, time or speed, and its powers
+are no numbers."""
+
 
 class ShapeError(DosplanError, ValueError):
     """An array that does not have the shape or the finiteness its field promises."""
@@ -69,11 +73,11 @@ def frozen(
         field: Name of the field.
         dtype: The numpy dtype that is wanted.
         shape: Expected shape; ``None`` stands for any length.
-        finite: Whether NaN and infinity are refused.
+        finite: Whether NaN, infinity and what is larger than ``MAX_NUMBER`` are refused.
         columns: What the columns are, to be told where their number is wrong.
 
     Raises:
-        ShapeError: The array has another shape or holds a value that is not finite.
+        ShapeError: The array has another shape or holds a value that is refused.
     """
     value = getattr(owner, field)
     where = f"{type(owner).__name__}.{field}"
@@ -91,9 +95,27 @@ def frozen(
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
         told = f"; columns: {columns}" if columns and array.shape[-1:] != (shape[-1],) else ""
         raise ShapeError(f"{where} has shape {array.shape}, expected {wanted}{told}{suffix}")
-    if finite and not np.all(np.isfinite(array)):
-        raise ShapeError(f"{where} holds a NaN or an infinite value{suffix}")
+    if finite:
+        check_finite(array, where, suffix)
     _hold(owner, field, array)
+
+
+def check_finite(array: npt.NDArray[Any], where: str, suffix: str = "") -> None:
+    """Refuses NaN, infinity and what is larger than ``MAX_NUMBER``.
+
+    Args:
+        array: Any numbers.
+        where: What they are, for the message.
+        suffix: What the message ends with.
+
+    Raises:
+        ShapeError: One of them is refused.
+    """
+    if np.all(np.abs(array) <= MAX_NUMBER):
+        return
+    large = np.all(np.isfinite(array))
+    what = f"a number beyond {MAX_NUMBER:g}" if large else "a NaN or an infinite value"
+    raise ShapeError(f"{where} holds {what}{suffix}")
 
 
 def derived(owner: _Value, **fields: Any) -> _Value:

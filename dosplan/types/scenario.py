@@ -17,6 +17,7 @@ from dosplan.types.arrays import (
     FloatArray,
     IntArray,
     ShapeError,
+    check_finite,
     frozen,
 )
 from dosplan.types.lights import Signals
@@ -84,8 +85,7 @@ class Tracks:
             object.__setattr__(self, "outlines", (None,) * n)
         if len(self.outlines) != n:
             raise ShapeError(f"Tracks.outlines has {len(self.outlines)} entries, expected {n}")
-        if not np.all(np.isfinite(self.states[self.valid])):
-            raise ShapeError("Tracks.states holds a NaN at a step that is marked valid")
+        check_finite(self.states[self.valid], "Tracks.states", " at a step that is marked valid")
 
     @property
     def steps(self) -> int:

@@ -80,7 +80,7 @@ def test_it_comes_back_to_poses_beside_it() -> None:
     [
         (np.zeros((3, 2)), np.arange(1.0, 4.0), "shapes .3, 2. and .3,., expected"),
         (np.zeros((3, 3)), np.arange(1.0, 5.0), "shapes .3, 3. and .4,., expected"),
-        (np.full((3, 3), np.nan), np.arange(1.0, 4.0), "hold a NaN"),
+        (np.full((3, 3), np.nan), np.arange(1.0, 4.0), "holds a NaN"),
         (np.zeros((3, 3)), np.array([0.0, 1.0, 2.0]), "must increase from 0 on"),
         (np.zeros((3, 3)), np.array([1.0, 1.0, 2.0]), "must increase from 0 on"),
         (np.zeros((0, 3)), np.zeros(0), "last for a step or more"),

@@ -8,14 +8,29 @@ from typing import Any
 import numpy as np
 import pytest
 from dosplan_baseline.cruise import CruisePlanner
-from dosplan_simple.predictors import GroundTruthPredictor, NonePredictor
+from dosplan_dos.predictor import DosPredictor
+from dosplan_mpc.planner import MpcPlanner
+from dosplan_simple.predictors import (
+    ConstantTurnRatePredictor,
+    GroundTruthPredictor,
+    NonePredictor,
+)
 
-from dosplan.api import PluginError
+from dosplan.api import PluginError, Predictor
 from dosplan.scenario.synthetic import busy_scenario, steady_tracks, straight_scenario
 from dosplan.simulation.loop import run_episode
-from dosplan.simulation.traffic import Replay, RoadUsers
+from dosplan.simulation.traffic import Replay, RoadUsers, Traffic
 from dosplan.simulation.world import World, watch
-from dosplan.types import EGO_SIZE, Arm, EpisodeEnd, FloatArray, Scenario, ShapeError, Tracks
+from dosplan.types import (
+    EGO_SIZE,
+    Arm,
+    Episode,
+    EpisodeEnd,
+    FloatArray,
+    Scenario,
+    ShapeError,
+    Tracks,
+)
 from tests.support.traffic import LostTraffic, ShyTraffic, braking_before, followed
 
 COAST = np.zeros(2)
@@ -165,6 +180,41 @@ def test_traffic_that_raises_ends_the_episode_and_is_named() -> None:
     assert len(episode.inputs) == 1
     assert episode.tracks.steps == 42
     assert isinstance(caught[0], KeyError)
+
+
+class _Away(ShyTraffic):
+    """From the second step on everyone is at one place, far away."""
+
+    name = "away-v1"
+    place = 1e9
+
+    def step(self, step: int, ego: FloatArray) -> RoadUsers:
+        users = super().step(step, ego)
+        states = np.array(users.states)
+        if len(ego) > 2:
+            states[:, :2] = self.place
+        return replace(users, states=states)
+
+
+class _Beyond(_Away):
+    name = "beyond-v1"
+    place = 1e200
+
+
+@pytest.mark.parametrize(
+    ("predictor", "arm"),
+    [(DosPredictor(), Arm.WITH_DOS), (ConstantTurnRatePredictor(), Arm.WITHOUT_DOS)],
+)
+def test_places_whose_squares_are_no_numbers_are_blamed_on_the_traffic(
+    predictor: Predictor, arm: Arm
+) -> None:
+    def drive(traffic: Traffic) -> Episode:
+        return run_episode(busy_scenario(), MpcPlanner(), predictor, arm, traffic=traffic)
+
+    episode = drive(_Beyond())
+    assert episode.end is EpisodeEnd.TRAFFIC_FAILURE
+    assert "ShapeError: RoadUsers.states holds a number beyond 1e+09" in (episode.error or "")
+    assert drive(_Away()).error is None
 
 
 class _Unbegun(ShyTraffic):

@@ -84,6 +84,7 @@ def test_report_takes_the_numbers_of_numpy_and_a_plan_takes_only_reports() -> No
         (np.zeros((1, 5)), np.zeros((0, 2)), "needs one step"),
         (np.full((2, 5), np.nan), np.zeros((1, 2)), "Plan.states holds a NaN"),
         (np.zeros((2, 5)), np.full((1, 2), np.inf), "Plan.inputs holds a NaN or an infinite"),
+        (np.full((2, 5), -1e200), np.zeros((1, 2)), "Plan.states holds a number beyond 1e\\+09"),
         (np.zeros((2, 5)), [["fast", 0.0]], "not an array of float64"),
     ],
 )

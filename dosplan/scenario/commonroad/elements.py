@@ -15,9 +15,8 @@ import numpy as np
 
 from dosplan.system.errors import DosplanError
 from dosplan.types import FloatArray
+from dosplan.types.arrays import MAX_NUMBER
 
-MAX_NUMBER: Final = 1e9
-"""Largest number that a file may hold; what is larger is no length, step or speed."""
 _SHOWN: Final = 40
 """Characters of a text that a message shows."""
 _LARGEST_ID: Final = 2**63 - 1

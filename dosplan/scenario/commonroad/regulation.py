@@ -17,7 +17,6 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from dosplan.scenario.commonroad.elements import (
-    MAX_NUMBER,
     FaultError,
     child,
     identity,
@@ -38,6 +37,7 @@ from dosplan.types import (
     SignRule,
     TrafficSign,
 )
+from dosplan.types.arrays import MAX_NUMBER
 
 _RULES: Final = {
     SignRule.SPEED_LIMIT: [

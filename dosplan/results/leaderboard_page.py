@@ -17,7 +17,8 @@ from dosplan.types import Arm, Score
 
 COMPARED: Final = ("success", "at_fault_collision")
 """Metrics whose paired difference from the baseline is shown."""
-_BASELINE: Final = (re.compile(r"mpc-v(\d+)"), re.compile(r"dos-v(\d+)"))
+_VERSION: Final = re.compile(r"-v(\d{1,9})$")
+"""What the name of a planner or predictor ends with."""
 _HEAD: Final = """\
 # Leaderboard
 
@@ -33,6 +34,8 @@ predictor of yours comes in here: [submit.md](submit.md).
   for, then by velocity. Success comes first as no planner gets it by giving something else away: it
   asks for a safe drive *and* for the goal within its time. By safety alone a car that never starts
   would win, and by velocity one that looks at nobody.
+- **Earlier versions** of a planner or predictor stand below the others: who changes one and
+  submits it again is compared with what it was.
 - **Intervals** in brackets are of 95 %; they take into account which episodes are of one scenario,
   and which scenarios of one place. Rows whose intervals overlap may stand the other way round in
   other scenarios; paired differences are the sharper test.
@@ -84,14 +87,34 @@ class _Line:
         return (-success, -safe, blamed, -velocity, self.of.title, self.arm)
 
     @property
-    def version(self) -> tuple[int, ...] | None:
-        """Of the baseline: the versions of planner and predictor; None of all others."""
-        names = (self.of.planner, self.of.predictor)
-        found = [form.fullmatch(name) for form, name in zip(_BASELINE, names, strict=True)]
-        if self.arm is not Arm.WITH_DOS or not self.of.is_built_in:
-            return None
-        versions = tuple(int(one[1]) for one in found if one is not None)
-        return versions if len(versions) == len(found) else None
+    def versions(self) -> tuple[int, ...]:
+        """The versions of planner and predictor; 0 of a name without one."""
+        found = map(_VERSION.search, (self.of.planner, self.of.predictor))
+        return tuple(int(one[1]) if one else 0 for one in found)
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """Planner and predictor, without their versions."""
+        return tuple(_VERSION.sub("", name) for name in (self.of.planner, self.of.predictor))
+
+    @property
+    def is_baseline(self) -> bool:
+        """Whether it is the built-in planner with its sets, in any version."""
+        return self.arm is Arm.WITH_DOS and self.of.is_built_in and self.drivers == ("mpc", "dos")
+
+    def is_succeeded_by(self, other: _Line) -> bool:
+        """Whether another line is the same but for a later version of what drives."""
+
+        def same(line: _Line) -> tuple[Any, ...]:
+            of = line.of
+            return (line.arm, of.about, line.drivers, of.planner_options, of.predictor_options)
+
+        later = zip(self.versions, other.versions, strict=True)
+        return (
+            same(self) == same(other)
+            and self.versions != other.versions
+            and all(own <= theirs for own, theirs in later)
+        )
 
 
 def _place(one: Submission) -> tuple[Any, ...]:
@@ -103,8 +126,24 @@ def _block(members: Sequence[Submission]) -> Iterator[str]:
     lines = [_Line(one, arm, result) for one in members for arm, result in one.arms.items()]
     lines.sort(key=lambda line: line.rank)
     first = members[0]
-    bases = [line for line in lines if line.version is not None]
-    base = max(bases, key=lambda line: line.version or (), default=None)
+    bases = [line for line in lines if line.is_baseline]
+    base = max(bases, key=lambda line: line.versions, default=None)
+    result = lines[0].result
+    yield f"## {first.scenario_set}: {first.world.title}"
+    episodes = sum(len(words.split()) for words in result.episodes.values())
+    seed = f", seed {first.seed}" if first.seed else ""
+    yield (
+        f"{len(result.episodes)} scenarios, {episodes} episodes in each row{seed}; files "
+        f"`{first.set_digest[:8]}`; scored by dosplan {' and '.join(_versions(members))}."
+    )
+    earlier = [line for line in lines if any(map(line.is_succeeded_by, lines))]
+    yield _table([line for line in lines if line not in earlier], base)
+    if earlier:
+        yield "Earlier versions of what is above:"
+        yield _table(earlier, base)
+
+
+def _table(lines: Sequence[_Line], base: _Line | None) -> str:
     shown = [find_metric(name) for name in COLUMNS]
     compared = [] if base is None else [find_metric(name) for name in COMPARED]
     headings = ["Run", "Arm", *(metric.heading for metric in shown)]
@@ -120,15 +159,7 @@ def _block(members: Sequence[Submission]) -> Iterator[str]:
                 *(difference_text(m, found.get(m.name)) for m in compared),
             ]
         )
-    result = lines[0].result
-    yield f"## {first.scenario_set}: {first.world.title}"
-    episodes = sum(len(words.split()) for words in result.episodes.values())
-    seed = f", seed {first.seed}" if first.seed else ""
-    yield (
-        f"{len(result.episodes)} scenarios, {episodes} episodes in each row{seed}; files "
-        f"`{first.set_digest[:8]}`; scored by dosplan {' and '.join(_versions(members))}."
-    )
-    yield markdown(headings, rows)
+    return markdown(headings, rows)
 
 
 def _differences(line: _Line, base: _Line | None) -> dict[str, Difference]:

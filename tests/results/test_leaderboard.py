@@ -197,6 +197,33 @@ def test_rows_are_compared_with_the_newest_built_in_mpc_over_the_same_episodes()
     assert "minus `mpc`" not in leaderboard_page([row("mine", other)])
 
 
+def test_earlier_versions_stand_below_what_came_after_them() -> None:
+    def drawn(planner: str, predictor: str, **changes: Any) -> Submission:
+        return row("", [HIT, HIT], planner=planner, predictor=predictor, **changes)
+
+    page = leaderboard_page(
+        [
+            drawn("p-v9", "q-v2"),
+            drawn("p-v10", "q-v2"),
+            drawn("p-v9", "q-v3"),
+            drawn("p-v9", "other-v1"),
+            drawn("p-v9", "q-v2", planner_options={"headway": 2.0}),
+            drawn("p-v9", "q-v2", loop="late"),
+            drawn("unnumbered", "q-v1"),
+        ]
+    )
+    above, _, below = page.partition("## suite: traffic replay, loop late")[0].partition("above:")
+    # Neither p-v10 with q-v2 nor p-v9 with q-v3 is later than the other.
+    assert names(above) == [
+        "p-v10 with q-v2",
+        "p-v9 (headway=2.0) with q-v2",
+        "p-v9 with other-v1",
+        "p-v9 with q-v3",
+        "unnumbered with q-v1",
+    ]
+    assert names(below) == ["p-v9 with q-v2"]
+
+
 @pytest.mark.parametrize("name", ["built-in", "others"])
 def test_the_sweeps_of_the_leaderboard_drive_whole_sets_ranked(name: str) -> None:
     if name == "others" and any(map(is_missing, ("reactive", "frenetix", "wale-net"))):

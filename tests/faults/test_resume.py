@@ -29,6 +29,7 @@ from tests.support.runs import (
     untimed,
     write_scenes,
 )
+from tests.support.shares import every_other
 
 EPISODES = 4  # Two scenarios in both arms.
 
@@ -80,7 +81,7 @@ def _run_and_die(config: RunConfig, moment: int) -> None:
 MOMENTS = 2 * (5 + EPISODES) + EPISODES
 
 
-@pytest.mark.parametrize("moment", range(MOMENTS + 1))
+@pytest.mark.parametrize("moment", every_other(range(MOMENTS + 1)))
 def test_a_run_that_was_killed_at_any_moment_is_resumed(
     scenes: Path, tmp_path: Path, undisturbed: list[dict[str, Any]], moment: int
 ) -> None:
@@ -125,7 +126,7 @@ def test_kill_9_of_the_runner_again_and_again_loses_nothing(
 GROWN_MOMENTS = 2 * (5 + EPISODES // 2) + EPISODES // 2
 
 
-@pytest.mark.parametrize("moment", range(GROWN_MOMENTS + 1))
+@pytest.mark.parametrize("moment", every_other(range(GROWN_MOMENTS + 1)))
 def test_a_run_that_was_killed_while_it_grew_is_resumed(
     scenes: Path, tmp_path: Path, undisturbed: list[dict[str, Any]], moment: int
 ) -> None:

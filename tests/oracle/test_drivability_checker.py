@@ -23,6 +23,7 @@ from dosplan.scoring.collision import TOUCH, first_contacts, shape_at
 from dosplan.types import FloatArray, Scenario
 from dosplan.vehicle import VehicleParameters
 from tests.oracle.real_data import commonroad_root
+from tests.support.shares import every_other
 
 VEHICLE = VehicleParameters()
 SIZE = np.array(VEHICLE.size)
@@ -80,7 +81,7 @@ def closed_road(source: Any) -> shapely.Geometry:
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # commonroad-io's protobuf
-@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize("part", every_other(range(PARTS)))
 def test_agrees_with_the_drivability_checker(part: int) -> None:
     reason = "install the extra `oracle` to run this"
     crcc = pytest.importorskip("commonroad_dc.pycrcc", reason=reason)

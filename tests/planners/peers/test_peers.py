@@ -265,6 +265,8 @@ def test_a_trajectory_that_cannot_be_driven_is_cut_to_what_can() -> None:
 def test_a_peer_that_is_not_installed_says_what_to_do(
     name: str, module: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for loaded in [one for one in sys.modules if one.startswith(f"{module}.")]:
+        monkeypatch.delitem(sys.modules, loaded)  # Found there, a part needs no whole.
     monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.delitem(sys.modules, f"dosplan_peers.{name}", raising=False)
     with pytest.raises(RegistryError, match=r"pip install 'dosplan\[peers\]'") as caught:

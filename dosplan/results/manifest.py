@@ -142,7 +142,7 @@ class RunManifest:
     traffic: str = "replay"
     loop: str = "ideal"
     reproducible: bool = True
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     scenarios: tuple[str, ...]
     digests: Mapping[str, str] = field(default_factory=dict)
     started: str = ""

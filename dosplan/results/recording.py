@@ -170,6 +170,9 @@ class Recording:
         for name in ("states", "inputs", "predict_seconds", "plan_seconds"):
             if not np.all(np.isfinite(getattr(self, name))):
                 raise ValueError(f"{name} holds what is no number")
+        planned = np.asarray(np.isfinite(self.plan_centres).all(axis=-1))
+        if np.any(~planned[:, :1]) or np.any(planned[:, 1:] & ~planned[:, :-1]):
+            raise ValueError("plan_centres holds what is no number before the end of a plan")
         driven = self.cycle_steps - self.start_step
         if np.any(np.diff(driven) <= 0) or np.any((driven < 0) | (driven > steps)):
             raise ValueError("cycle_steps are not steps of the episode, in their order")

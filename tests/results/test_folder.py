@@ -454,6 +454,17 @@ def test_a_broken_recording_is_named(tmp_path: Path, content: bytes) -> None:
         Recording.load(tmp_path / "e.npz")
 
 
+@pytest.mark.parametrize("step", [0, 1])
+def test_a_plan_of_which_a_place_is_missing_is_named(tmp_path: Path, step: int) -> None:
+    Recording.of(SCENARIO, _episode()).save(tmp_path / "e.npz")
+    with np.load(tmp_path / "e.npz") as file:
+        arrays = dict(file)
+    arrays["plan_centres"][2, step] = np.nan
+    np.savez(tmp_path / "e.npz", **arrays)
+    with pytest.raises(FileError, match="plan_centres holds what is no number before the end of"):
+        Recording.load(tmp_path / "e.npz")
+
+
 def test_a_pickle_in_a_recording_is_never_opened(tmp_path: Path) -> None:
     np.savez(tmp_path / "e.npz", states=np.array([{"code": 1}], dtype=object))
     with pytest.raises(FileError, match="is not an episode file"):

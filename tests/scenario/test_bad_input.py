@@ -227,6 +227,14 @@ def test_a_manifest_with_an_odd_configuration_is_named(
         read_manifest(folder)
 
 
+def test_settings_of_a_manifest_that_are_none_are_named(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path)
+    manifest = {"config": {}, **{"planner": "a", "predictor": "b", "scenarios": [], "versions": {}}}
+    folder.manifest.write_text(json.dumps({**manifest, "settings": {"predictor": 1.5}}))
+    with pytest.raises(FileError, match=r"settings\[\.\.\.\]: Expected `object`, got `float`"):
+        read_manifest(folder)
+
+
 def test_a_long_value_of_a_row_is_shortened(tmp_path: Path) -> None:
     path = tmp_path / "scenarios.jsonl"
     line = row_line(failed_score(EpisodeKey("a", Arm.WITH_DOS), "broken"))

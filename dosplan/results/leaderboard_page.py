@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import le
 from typing import Any, Final
 
 from dosplan.results.comparison import compare_rows
@@ -102,19 +103,16 @@ class _Line:
         """Whether it is the built-in planner with its sets, in any version."""
         return self.arm is Arm.WITH_DOS and self.of.is_built_in and self.drivers == ("mpc", "dos")
 
+    @property
+    def kin(self) -> tuple[Any, ...]:
+        """What all versions of it have in common."""
+        options = (self.of.planner_options, self.of.predictor_options)
+        return (self.arm, self.of.about, self.drivers, *options)
+
     def is_succeeded_by(self, other: _Line) -> bool:
         """Whether another line is the same but for a later version of what drives."""
-
-        def same(line: _Line) -> tuple[Any, ...]:
-            of = line.of
-            return (line.arm, of.about, line.drivers, of.planner_options, of.predictor_options)
-
-        later = zip(self.versions, other.versions, strict=True)
-        return (
-            same(self) == same(other)
-            and self.versions != other.versions
-            and all(own <= theirs for own, theirs in later)
-        )
+        no_later = all(map(le, self.versions, other.versions))
+        return self.kin == other.kin and self.versions != other.versions and no_later
 
 
 def _place(one: Submission) -> tuple[Any, ...]:
@@ -136,8 +134,11 @@ def _block(members: Sequence[Submission]) -> Iterator[str]:
         f"{len(result.episodes)} scenarios, {episodes} episodes in each row{seed}; files "
         f"`{first.set_digest[:8]}`; scored by dosplan {' and '.join(_versions(members))}."
     )
-    earlier = [line for line in lines if any(map(line.is_succeeded_by, lines))]
-    yield _table([line for line in lines if line not in earlier], base)
+    newest: list[_Line] = []
+    earlier: list[_Line] = []
+    for line in lines:
+        (earlier if any(map(line.is_succeeded_by, lines)) else newest).append(line)
+    yield _table(newest, base)
     if earlier:
         yield "Earlier versions of what is above:"
         yield _table(earlier, base)
